@@ -1,7 +1,7 @@
 """Hydra-configured experiment sweeps for goal-conditioned parking.
 
-`compose` makes the checked config of a run, `train` trains it, `load` reads the results of many runs, and `load_model`
-a trained agent:
+`compose` makes the checked config of a run, `train` trains it, `load` reads the results of many
+runs, and `load_model` a trained agent:
 
     from parking_exp import compose, load, load_model, train
 

@@ -1,4 +1,6 @@
-"""Errors that the command line prints as a sentence, without a traceback, and phrases for their messages."""
+"""Errors that the command line prints as a sentence, without a traceback, and phrases for their
+messages.
+"""
 
 import difflib
 import errno
@@ -6,7 +8,8 @@ from collections.abc import Iterable
 
 # Problems of disks and permissions. Any other `OSError` may be a bug, and keeps its traceback.
 DISK_ERRORS = {
-    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EEXIST,
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO,
+    errno.EROFS, errno.EACCES, errno.EPERM, errno.EEXIST,
     errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.ESTALE, errno.ENOLCK,
 }  # fmt: skip
 
@@ -16,7 +19,9 @@ class ParkingError(Exception):
 
 
 class ConfigError(ParkingError, ValueError):
-    """A config that cannot run. Each line is one sentence: which key, what is wrong, what to type instead."""
+    """A config that cannot run. Each line is one sentence: which key, what is wrong, what to type
+    instead.
+    """
 
 
 class RunNotFoundError(ParkingError, LookupError):
@@ -28,7 +33,9 @@ class UntrustedError(ParkingError):
 
 
 class ModelError(ParkingError):
-    """A model file that is damaged or does not fit the model, or a class whose files do not contain all weights."""
+    """A model file that is damaged or does not fit the model, or a class whose files do not contain
+    all weights.
+    """
 
 
 class OutputDirectoryError(ParkingError):
@@ -102,7 +109,9 @@ def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
 
 
 def suggestion(word: str, choices: Iterable[str]) -> str:
-    """Return `; did you mean 'x'?`, or the choices when none is close and they are few, or nothing."""
+    """Return `; did you mean 'x'?`, or the choices when none is close and they are few, or
+    nothing.
+    """
     names = sorted(set(choices))
     few = f"; choose from {', '.join(map(quoted_label, names))}" if 0 < len(names) <= 30 else ""
     return did_you_mean(word, names) or few

@@ -1,4 +1,6 @@
-"""The style of figures: the look of each cell, labels that fit, and axes that several figures share."""
+"""The style of figures: the look of each cell, labels that fit, and axes that several figures
+share.
+"""
 
 import textwrap
 import unicodedata
@@ -29,7 +31,9 @@ _LINES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2
 
 
 def report_style() -> AbstractContextManager[None]:
-    """Return a context that draws with the style of reports and matplotlib's defaults, not the user's settings."""
+    """Return a context that draws with the style of reports and matplotlib's defaults, not the
+    user's settings.
+    """
     return matplotlib.style.context(["default", Path(__file__).with_name("report.mplstyle")])
 
 
@@ -40,7 +44,9 @@ def new_figure(height: float) -> Figure:
 
 @dataclass(frozen=True)
 class CellStyle:
-    """The look of a cell: a colour, a marker and a line style, so that colour vision is not needed."""
+    """The look of a cell: a colour, a marker and a line style, so that colour vision is not
+    needed.
+    """
 
     colour: str
     marker: str
@@ -60,14 +66,24 @@ def cell_style(cell_id: str) -> CellStyle:
 
 
 def clean(text: str) -> str:
-    """Return text without control, formatting and unassigned characters; whitespace becomes single spaces."""
-    kept = (" " if c.isspace() else c for c in text if c.isspace() or not unicodedata.category(c).startswith("C"))
+    """Return text without control, formatting and unassigned characters; whitespace becomes single
+    spaces.
+    """
+    kept = (
+        " " if c.isspace() else c
+        for c in text
+        if c.isspace() or not unicodedata.category(c).startswith("C")
+    )
     return " ".join("".join(kept).split())
 
 
 def wrapped_labels(cells: Sequence[Any], width: int, lines: int = 1) -> list[str]:
-    """Return a label for each cell of at most `lines` lines of `width` characters; longer ones are cut at their end."""
-    return [textwrap.fill(clean(cell.label), width, max_lines=lines, placeholder="…") for cell in cells]
+    """Return a label for each cell of at most `lines` lines of `width` characters; longer ones are
+    cut at their end.
+    """
+    return [
+        textwrap.fill(clean(cell.label), width, max_lines=lines, placeholder="…") for cell in cells
+    ]
 
 
 def _row_height(texts: Sequence[str]) -> float:
@@ -75,7 +91,9 @@ def _row_height(texts: Sequence[str]) -> float:
 
 
 def rows_on_page(texts: Sequence[str]) -> int:
-    """Return how many labelled rows, see `row_axes`, a figure may have that is printed in full width on one page."""
+    """Return how many labelled rows, see `row_axes`, a figure may have that is printed in full
+    width on one page.
+    """
     return int((PAGE_IN - 0.6) / _row_height(texts))
 
 

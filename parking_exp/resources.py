@@ -5,7 +5,12 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+)
 
 
 def cores() -> list[int]:
@@ -16,7 +21,9 @@ def cores() -> list[int]:
 
 
 def shares(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
-    """Divide cores evenly between workers; if there are more workers than cores, several share one."""
+    """Divide cores evenly between workers; if there are more workers than cores, several share
+    one.
+    """
     if n_workers >= len(all_cores):
         return [[all_cores[worker % len(all_cores)]] for worker in range(n_workers)]
     bounds = [len(all_cores) * worker // n_workers for worker in range(n_workers + 1)]

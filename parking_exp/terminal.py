@@ -1,4 +1,6 @@
-"""Print text on a terminal that may go away, with control characters escaped: text from a run may be hostile."""
+"""Print text on a terminal that may go away, with control characters escaped: text from a run may
+be hostile.
+"""
 
 import os
 import sys
@@ -15,7 +17,9 @@ WIDE = 1000  # columns of a file or pipe, where lines are not wrapped
 
 
 def printable(line: str) -> str:
-    r"""Return a line with unprintable or unencodable characters escaped, e.g. `\x1b`, `\n`, `\u202e`."""
+    r"""Return a line with unprintable or unencodable characters escaped, e.g. `\x1b`, `\n`,
+    `\u202e`.
+    """
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
@@ -28,7 +32,9 @@ def say(*lines: str, stderr: bool = False) -> None:
 
 
 class _UnfailingStream:
-    """A standard stream that drops what can't be written: its terminal is gone, its pipe closed, its disk full."""
+    """A standard stream that drops what can't be written: its terminal is gone, its pipe closed,
+    its disk full.
+    """
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
@@ -59,7 +65,9 @@ class _UnfailingStream:
 
 @contextmanager
 def unfailing_output() -> Iterator[None]:
-    """Let no write to the standard streams fail while the block runs: a run is worth more than its output."""
+    """Let no write to the standard streams fail while the block runs: a run is worth more than its
+    output.
+    """
     streams = sys.stdout, sys.stderr
     make_output_unfailing()
     try:
@@ -83,7 +91,9 @@ def check_output() -> None:
 
 
 def open_standard_streams() -> None:
-    """Open standard streams that are closed, or else the next file would get their descriptors, and the output."""
+    """Open standard streams that are closed, or else the next file would get their descriptors, and
+    the output.
+    """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -93,7 +103,9 @@ def open_standard_streams() -> None:
 
 
 def drop_unwritten_output() -> None:
-    """Drop what the standard streams could not write: Python would try again at its exit, and fail."""
+    """Drop what the standard streams could not write: Python would try again at its exit, and
+    fail.
+    """
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
@@ -120,11 +132,15 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def is_script() -> bool:
-    """Return whether this process is one of our scripts in a clone, and not an installed command or a user's Python."""
+    """Return whether this process is one of our scripts in a clone, and not an installed command or
+    a user's Python.
+    """
     program = Path(sys.argv[0])
     return program.suffix == ".py" and program.stem in COMMANDS
 
 
 def program(name: str) -> str:
-    """Return how to start a command, as this process was: `python scripts/status.py`, or `parking-status`."""
+    """Return how to start a command, as this process was: `python scripts/status.py`, or
+    `parking-status`.
+    """
     return f"python scripts/{name}.py" if is_script() else f"parking-{name}"

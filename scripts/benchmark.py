@@ -1,25 +1,24 @@
 #!/usr/bin/env python
-"""Measure speed relative to named peers, alternating between both sides, on one core of an otherwise idle machine.
+"""Measure speed relative to named peers, alternating between both sides, on one core of an
+otherwise idle machine.
 
 simulator.*            env steps/s against highway-env, random actions, 512 or 8 scenes at once
-evaluation.*           seconds to evaluate a trained policy on 500 scenes
-update.*               updates/s, sampling included, against Stable-Baselines3's train(); 3x256 with precision=medium
-update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer; n1, n8: updates per round
-run.tutorial.ratio     env steps/s of the tutorial's recipe against plain Stable-Baselines3 + highway-env
-run.fetch_reach.cost   CPU time per env step, updates included, of env=fetch_reach / of plain Stable-Baselines3
-run.default.overhead   wall time of the default run / of its training without tracking, checkpoints, evaluation
-her.sample.*           time of a HER minibatch: large buffer / small one; samples/s against Stable-Baselines3
-her.*bytes*            bytes per transition, in memory and in a saved buffer
-sweep.scaling.*        runs per hour with two workers / with one
-sweep.overhead_*       seconds per run besides training
-sweep.resume_scan_*    seconds to read the state of 1,000 runs
+evaluation.*           seconds to evaluate a trained policy on 500 scenes update.*
+updates/s, sampling included, against Stable-Baselines3's train(); 3x256 with precision=medium
+update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer; n1, n8:
+updates per round run.tutorial.ratio     env steps/s of the tutorial's recipe against plain
+Stable-Baselines3 + highway-env run.fetch_reach.cost   CPU time per env step, updates included, of
+env=fetch_reach / of plain Stable-Baselines3 run.default.overhead   wall time of the default run /
+of its training without tracking, checkpoints, evaluation her.sample.*           time of a HER
+minibatch: large buffer / small one; samples/s against Stable-Baselines3 her.*bytes*
+bytes per transition, in memory and in a saved buffer sweep.scaling.*        runs per hour with two
+workers / with one sweep.overhead_*       seconds per run besides training sweep.resume_scan_*
+seconds to read the state of 1,000 runs
 
-Arguments:
-  output_dir=outputs   benchmark.json is written there
-  only=[PREFIX,...]    figures to measure; default: all
-  rounds=5             measurements per figure; of whole runs at most 3
-  core=first           core to pin to: a number, first (the first allowed core), or null
-  --quick              check in two to three minutes that everything runs; the figures are not meaningful
+Arguments: output_dir=outputs   benchmark.json is written there only=[PREFIX,...]    figures to
+  measure; default: all rounds=5             measurements per figure; of whole runs at most 3
+  core=first           core to pin to: a number, first (the first allowed core), or null --quick
+  check in two to three minutes that everything runs; the figures are not meaningful
 
 update.*.sbx.ratio needs: pip install 'parking-exp[bench]'
 """
@@ -68,7 +67,9 @@ def main() -> None:
     all_cores = cores()
     try:
         if settings.core is not None and hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, {min(all_cores) if settings.core == "first" else int(settings.core)})
+            os.sched_setaffinity(
+                0, {min(all_cores) if settings.core == "first" else int(settings.core)}
+            )
     except (ValueError, OSError):
         sys.exit(f"error: core={settings.core} is not one of {', '.join(map(str, all_cores))}")
     if settings.rounds < 1:
@@ -83,7 +84,9 @@ def main() -> None:
     for prefix in settings.only or []:
         if not any(key.startswith(prefix) for key in all_figures):
             sys.exit(f"error: only={prefix}: no figure starts with this; see --help")
-    chosen = {key: all_figures[key] for key in all_figures if key.startswith(tuple(settings.only or [""]))}
+    chosen = {
+        key: all_figures[key] for key in all_figures if key.startswith(tuple(settings.only or [""]))
+    }
     path = Path(settings.output_dir) / "benchmark.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     results = read_json(path) or {}  # figures that are not measured this time are kept
@@ -105,7 +108,10 @@ def _row(key: str, sign: str, bound: float, entry: dict[str, Any]) -> str:
     value, values = entry["value"], f"{entry['lowest']:.4g} to {entry['highest']:.4g}"
     met = value >= bound if sign == ">=" else value <= bound
     target = f"{sign} {bound:g}"
-    return f"{key:<30}{value:>9.4g}  {values:<19}{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"
+    return (
+        f"{key:<30}{value:>9.4g}  {values:<19}{target:<10}  "
+        f"{entry.get('peer', '')}{'' if met else '   MISSED'}"
+    )
 
 
 if __name__ == "__main__":

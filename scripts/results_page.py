@@ -1,5 +1,7 @@
 #!/usr/bin/env python
-"""Write docs/results.md, docs/provenance.md, figures and README's rates from docs/results; `--check` only compares."""
+"""Write docs/results.md, docs/provenance.md, figures and README's rates from docs/results;
+`--check` only compares.
+"""
 
 import re
 import shutil
@@ -31,12 +33,22 @@ from parking_exp.terminal import say
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
 PROVENANCE = DOCS / "provenance.md"
-FIGURES = dict.fromkeys(("algorithms", "goal_tasks", "tutorial"), "learning_curves")  # the others have final_success
+FIGURES = dict.fromkeys(
+    ("algorithms", "goal_tasks", "tutorial"), "learning_curves"
+)  # the others have final_success
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
     "goal_tasks": ("env=point_maze",),
     "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),
 }
-PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "gymnasium-robotics", "mujoco", "torch", "python")
+PACKAGES = (
+    "highway-env",
+    "stable-baselines3",
+    "sb3-contrib",
+    "gymnasium-robotics",
+    "mujoco",
+    "torch",
+    "python",
+)
 LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 COLUMNS = {
@@ -49,7 +61,9 @@ COLUMNS = {
     "area": ("AUC, %", lambda cell: formats.percent_interval(cell.area)),
     "to_90": (
         "steps to 90 %",
-        lambda cell: formats.number(cell.survival.median) or f"{cell.survival.k} of {cell.survival.n} seeds",
+        lambda cell: (
+            formats.number(cell.survival.median) or f"{cell.survival.k} of {cell.survival.n} seeds"
+        ),
     ),
     "cpu_s": ("CPU-s", lambda cell: formats.number(cell.cpu_s.value)),
 }
@@ -70,7 +84,8 @@ class Experiment:
     def only(self, *cells: str, baseline: str | None = None) -> "Experiment":
         """Return the experiment with some of its cells, selected as by `scripts/report.py`."""
         return Experiment(
-            self.results, build_report(self.results, self.report.experiments, cells=cells, baseline=baseline)
+            self.results,
+            build_report(self.results, self.report.experiments, cells=cells, baseline=baseline),
         )
 
     def cell(self, label: str) -> Cell:
@@ -82,7 +97,9 @@ class Experiment:
         return formats.rate_interval(self.cell(label).metric(metric))
 
     def seeds(self, label: str, metric: str = "success") -> str:
-        """Return the mean rate of a cell with its lowest and highest seed, e.g. `94.4 % (90.1 to 100.0 %)`."""
+        """Return the mean rate of a cell with its lowest and highest seed, e.g. `94.4 % (90.1 to
+        100.0 %)`.
+        """
         cell = self.cell(label)
         rates = [seed.metric(metric) or 0.0 for seed in cell.seeds]
         low, high = formats.percent(min(rates)), formats.percent(max(rates))
@@ -97,11 +114,17 @@ class Experiment:
         return formats.number(self.cell(label).median_cpu_s)
 
     def reaching(self, label: str, threshold: float) -> str:
-        """Return how many seeds of a cell reach a final success, with the exact interval: `99/100 [94.6, 100.0]`."""
-        return formats.share_interval(statistics.share_reaching(seed_rates(self.cell(label)).rates, threshold))
+        """Return how many seeds of a cell reach a final success, with the exact interval: `99/100
+        [94.6, 100.0]`.
+        """
+        return formats.share_interval(
+            statistics.share_reaching(seed_rates(self.cell(label)).rates, threshold)
+        )
 
     def difference(self, first: str, second: str) -> str:
-        """Return the difference in success of two cells, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
+        """Return the difference in success of two cells, e.g. `+9.1 points [+4.0, +14.2], p =
+        0.012`.
+        """
         pair = self._pair(first, second)
         pair = pair if pair.a == self.cell(first).id else pair.reverse()
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_corrected)}"
@@ -121,7 +144,9 @@ class Experiment:
     def mean(self, key: str, level: object) -> str:
         """Return the mean success of the cells with a value of a config key, with its interval."""
         factor = next(effect for effect in self.report.effects if effect.factor == key)
-        return formats.rate_interval(next(item.effect for item in factor.levels if item.level == level))
+        return formats.rate_interval(
+            next(item.effect for item in factor.levels if item.level == level)
+        )
 
     def table(self, factors: dict[str, str], *columns: str) -> str:
         """Return a Markdown table of all cells.
@@ -138,14 +163,18 @@ class Experiment:
         return "\n".join(lines)
 
     def grid(self, row: str, column: str) -> str:
-        """Return a Markdown table of success by two config keys, in percent; cells without one of them are left out."""
+        """Return a Markdown table of success by two config keys, in percent; cells without one of
+        them are left out.
+        """
         rates = {
             place: formats.percent_interval(cell.success)
             for cell in self.report.cells
             if all(place := (self._setting(cell, row), self._setting(cell, column)))
         }
         rows, columns = (list(dict.fromkeys(place[axis] for place in rates)) for axis in (0, 1))
-        row_name, column_name = (key.removesuffix(".name").rpartition(".")[2] for key in (row, column))
+        row_name, column_name = (
+            key.removesuffix(".name").rpartition(".")[2] for key in (row, column)
+        )
         lines = [
             [f"`{row_name}`", *(f"`{column_name}={value}`" for value in columns)],
             [":---", *("---:" for _ in columns)],
@@ -155,7 +184,13 @@ class Experiment:
 
     def _setting(self, cell: Cell, key: str) -> str:
         value: Any = self._runs.at[cell.seeds[0].run_id, f"config.{key}"]
-        return "" if pd.isna(value) else f"{value:,}" if isinstance(value, Integral) else formats.setting(value)
+        return (
+            ""
+            if pd.isna(value)
+            else f"{value:,}"
+            if isinstance(value, Integral)
+            else formats.setting(value)
+        )
 
     @cached_property
     def _runs(self) -> pd.DataFrame:
@@ -164,7 +199,11 @@ class Experiment:
     def environment(self) -> str:
         """Return the package versions of the runs."""
         origin = self.report.provenance
-        versions = [f"{name} {', '.join(origin.versions[name])}" for name in PACKAGES if name in origin.versions]
+        versions = [
+            f"{name} {', '.join(origin.versions[name])}"
+            for name in PACKAGES
+            if name in origin.versions
+        ]
         return ", ".join(versions)
 
     @property
@@ -174,7 +213,9 @@ class Experiment:
             return "none"
         if (self.results.runs["config.env.simulator"] == "highway_env").all():
             return "all"
-        return ", ".join(map(str, self.results.runs["config.evaluation.n_certified_scenes"].unique()))
+        return ", ".join(
+            map(str, self.results.runs["config.evaluation.n_certified_scenes"].unique())
+        )
 
     @property
     def runs(self) -> int:
@@ -190,9 +231,13 @@ class Experiment:
 def main(arguments: list[str]) -> int:
     """Write the page, README's rates and the figures; with `--check`, compare the texts only."""
     parser = ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if a text is not up to date")
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; fail if a text is not up to date"
+    )
     only_check = parser.parse_args(arguments).check
-    experiments = {folder.name: _experiment(folder) for folder in sorted(EXPORTS.iterdir()) if folder.is_dir()}
+    experiments = {
+        folder.name: _experiment(folder) for folder in sorted(EXPORTS.iterdir()) if folder.is_dir()
+    }
     texts = {
         PAGE: _rendered("page", experiments),
         PROVENANCE: _rendered("provenance", experiments),
@@ -201,14 +246,25 @@ def main(arguments: list[str]) -> int:
     stale = [path for path, text in texts.items() if path.read_text(encoding="utf-8") != text]
     if only_check:
         for path in stale:
-            say(f"{path.relative_to(ROOT)} is not up to date with docs/results; run make results-page")
+            say(
+                f"{path.relative_to(ROOT)} is not up to date with docs/results; run make "
+                "results-page"
+            )
         return int(bool(stale))
     for path in stale:
         path.write_text(texts[path], encoding="utf-8")
     for name, experiment in experiments.items():
         if f"images/results_{name}.png" in texts[PAGE]:
-            _draw(name, experiment.only(*FIGURE_CELLS[name]).report if name in FIGURE_CELLS else experiment.report)
-    say(f"written        {', '.join(str(path.relative_to(ROOT)) for path in texts)}, docs/images/results_*.png")
+            _draw(
+                name,
+                experiment.only(*FIGURE_CELLS[name]).report
+                if name in FIGURE_CELLS
+                else experiment.report,
+            )
+    say(
+        f"written        {', '.join(str(path.relative_to(ROOT)) for path in texts)}, "
+        "docs/images/results_*.png"
+    )
     return 0
 
 
@@ -219,9 +275,13 @@ def _experiment(folder: Path) -> Experiment:
 
 
 def _readme(experiments: dict[str, Experiment]) -> str:
-    """Return README with its parts between `<!-- results: NAME -->` and `<!-- end of results -->` filled in."""
+    """Return README with its parts between `<!-- results: NAME -->` and `<!-- end of results -->`
+    filled in.
+    """
     text = README.read_text(encoding="utf-8")
-    return MARKED.sub(lambda match: f"{match[1]}{_rendered(match['name'], experiments).strip()}\n{match[3]}", text)
+    return MARKED.sub(
+        lambda match: f"{match[1]}{_rendered(match['name'], experiments).strip()}\n{match[3]}", text
+    )
 
 
 def _rendered(name: str, experiments: dict[str, Experiment]) -> str:
@@ -229,7 +289,11 @@ def _rendered(name: str, experiments: dict[str, Experiment]) -> str:
     text = (EXPORTS / f"{name}.md.jinja").read_text(encoding="utf-8")
     # Markdown needs no escaping of HTML.
     template = Environment(
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, autoescape=False
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
     ).from_string(text)
     return _wrapped(template.render(experiments, tables=experiments))
 
@@ -237,7 +301,10 @@ def _rendered(name: str, experiments: dict[str, Experiment]) -> str:
 def _wrapped(text: str) -> str:
     """Wrap paragraphs and lists, whose lines get longer when numbers are filled in."""
     blocks = re.split(r"(```.*?```)", re.sub(r"\n{3,}", "\n\n", text), flags=re.DOTALL)
-    return "".join(block if number % 2 else "\n\n".join(_paragraphs(block)) for number, block in enumerate(blocks))
+    return "".join(
+        block if number % 2 else "\n\n".join(_paragraphs(block))
+        for number, block in enumerate(blocks)
+    )
 
 
 def _paragraphs(text: str) -> Iterator[str]:
@@ -245,21 +312,28 @@ def _paragraphs(text: str) -> Iterator[str]:
         if paragraph.lstrip().startswith(("|", "#", "!", "<")) or not paragraph.strip():
             yield paragraph
             continue
-        start, end = (("\n" if edge else "") for edge in (paragraph.startswith("\n"), paragraph.endswith("\n")))
+        start, end = (
+            ("\n" if edge else "")
+            for edge in (paragraph.startswith("\n"), paragraph.endswith("\n"))
+        )
         yield start + "\n".join(map(_filled, re.split(r"\n(?=- )", paragraph.strip("\n")))) + end
 
 
 def _filled(item: str) -> str:
     words = LINK.sub(lambda link: link[0].replace(" ", NO_BREAK), " ".join(item.split()))
     indent = "  " if words.startswith("- ") else ""
-    lines = textwrap.fill(words, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    lines = textwrap.fill(
+        words, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
     return lines.replace(NO_BREAK, " ")
 
 
 def _range(cell: Cell, metric: str) -> str:
     """Return a mean rate with its lowest and highest seed, for a table."""
     rates = [seed.metric(metric) or 0.0 for seed in cell.seeds]
-    mean, low, high = (formats.percent(rate) for rate in (cell.metric(metric).value, min(rates), max(rates)))
+    mean, low, high = (
+        formats.percent(rate) for rate in (cell.metric(metric).value, min(rates), max(rates))
+    )
     return f"{mean} ({low}, {high})"
 
 
@@ -272,7 +346,11 @@ def _draw(name: str, report: ReportData) -> None:
     from parking_exp.reports.sections import draw, sections_of
 
     wanted = FIGURES.get(name, "final_success")
-    sections = [section for section in sections_of(report) if wanted in {figure.name for figure in section.figures}]
+    sections = [
+        section
+        for section in sections_of(report)
+        if wanted in {figure.name for figure in section.figures}
+    ]
     with TemporaryDirectory() as folder:
         draw(report, Path(folder), ["png"], sections)
         shutil.copy(Path(folder) / f"{wanted}.png", DOCS / "images" / f"results_{name}.png")

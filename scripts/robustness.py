@@ -1,7 +1,9 @@
 #!/usr/bin/env python
-"""Print how the pretrained agents do on perturbed tasks, as a Markdown table of rates in percent over 500 scenes.
+"""Print how the pretrained agents do on perturbed tasks, as a Markdown table of rates in percent
+over 500 scenes.
 
-`default` reaches its slot, `parked` and `crowded` stop in it; each on the env of its training, `crowded` among 10 cars.
+`default` reaches its slot, `parked` and `crowded` stop in it; each on the env of its training,
+`crowded` among 10 cars.
 """
 
 import sys
@@ -25,7 +27,11 @@ from parking_exp.tasks.task import Policy
 from parking_exp.terminal import say
 
 N_SCENES = 500
-AGENTS = {"default": "success", "parked": "parked", "crowded": "parked"}  # and what each was trained for
+AGENTS = {
+    "default": "success",
+    "parked": "parked",
+    "crowded": "parked",
+}  # and what each was trained for
 PARKED = next(metric for metric in METRICS if metric.name == "parked")
 
 
@@ -36,8 +42,8 @@ class Perturbation:
     Attributes:
         action: keys of `env.action`.
         vehicles_count: number of parked cars; none: 10 for an agent trained among cars, else 0.
-        noise: standard deviation of what the agent measures of itself, in each step: position [m] and velocity [m/s],
-            and a tenth of it in the cosine and sine of the heading.
+        noise: standard deviation of what the agent measures of itself, in each step: position [m]
+            and velocity [m/s], and a tenth of it in the cosine and sine of the heading.
         delay: policy steps, of 0.2 s, until an action has an effect.
         shift_m: the start is uniform within this distance in x, and half of it in y.
     """
@@ -53,7 +59,9 @@ PERTURBATIONS = {
     "none": Perturbation(),
     "start shifted by up to 8 m": Perturbation(shift_m=8),
     "start shifted by up to 16 m": Perturbation(shift_m=16),
-    "steering up to 40° instead of 45°": Perturbation({"steering_range": [-np.radians(40), np.radians(40)]}),
+    "steering up to 40° instead of 45°": Perturbation(
+        {"steering_range": [-np.radians(40), np.radians(40)]}
+    ),
     "steering up to 30°": Perturbation({"steering_range": [-np.radians(30), np.radians(30)]}),
     "acceleration up to 3 m/s² instead of 5": Perturbation({"acceleration_range": [-3.0, 3.0]}),
     "20 parked cars, seen only by `crowded`": Perturbation(vehicles_count=20),
@@ -94,18 +102,24 @@ def _perturbed(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:
 def evaluate(policy: Policy, config: ParkingConfig, perturbation: Perturbation) -> dict[str, float]:
     """Return the rates of success, crash and parked over scenes 0 to 499."""
     rng = np.random.default_rng(0)
-    simulator = Simulator(config, Scenes.from_seeds(range(N_SCENES), config.vehicles_range, config.obstacles))
+    simulator = Simulator(
+        config, Scenes.from_seeds(range(N_SCENES), config.vehicles_range, config.obstacles)
+    )
     shift = perturbation.shift_m * np.array([[1.0], [0.5]])
     simulator.state.position[:] += rng.uniform(-shift, shift, (2, N_SCENES))
     waiting = [np.zeros((N_SCENES, 2), np.float32)] * perturbation.delay
-    sigma = perturbation.noise / np.array([100, 100, 5, 5, 10, 10])  # in the scales of the observation
+    sigma = perturbation.noise / np.array(
+        [100, 100, 5, 5, 10, 10]
+    )  # in the scales of the observation
     counts = {"success": 0, "crash": 0, "parked": 0}
     under_way = np.ones(N_SCENES, bool)
     while under_way.any():
         seen = simulator.observe()
         noise = rng.normal(0, sigma, (N_SCENES, 6))
         seen["achieved_goal"] = seen["achieved_goal"] + noise
-        seen["observation"] = np.concatenate([seen["observation"][:, :6] + noise, seen["observation"][:, 6:]], axis=1)
+        seen["observation"] = np.concatenate(
+            [seen["observation"][:, :6] + noise, seen["observation"][:, 6:]], axis=1
+        )
         waiting.append(policy(seen))
         step = simulator.step(waiting.pop(0))
         for row in np.flatnonzero(under_way & (step.terminated | step.truncated)):

@@ -16,14 +16,18 @@ torch.set_num_threads(1)  # networks this small gain nothing from more, and othe
 
 
 def pytest_collection_finish():
-    """What has been imported stays: to look through it for garbage again and again is a tenth of the time of a test."""
+    """What has been imported stays: to look through it for garbage again and again is a tenth of
+    the time of a test.
+    """
     gc.collect()
     gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def state_home(tmp_path_factory):
-    """The user's state directory of all tests and their processes: nothing is written into the real one."""
+    """The user's state directory of all tests and their processes: nothing is written into the real
+    one.
+    """
     with pytest.MonkeyPatch.context() as patch:
         folder = tmp_path_factory.mktemp("state")
         patch.setenv("XDG_STATE_HOME", str(folder))
@@ -62,5 +66,11 @@ def smoke(tmp_path_factory):
         if not process_file.exists():
             done = run_script("train", "experiment=smoke", f"output_dir={output_dir}")
             assert done.returncode == 0, done.stderr
-            process_file.write_text(json.dumps([done.args, done.returncode, done.stdout, done.stderr]))
-    return only_run(output_dir), subprocess.CompletedProcess(*json.loads(process_file.read_text())), output_dir
+            process_file.write_text(
+                json.dumps([done.args, done.returncode, done.stdout, done.stderr])
+            )
+    return (
+        only_run(output_dir),
+        subprocess.CompletedProcess(*json.loads(process_file.read_text())),
+        output_dir,
+    )

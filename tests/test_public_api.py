@@ -16,7 +16,8 @@ from parking_exp import compose
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError
 
-# All that a `_target_` or the documentation names. These paths stay: a `_target_` is part of a run's key.
+# All that a `_target_` or the documentation names. These paths stay: a `_target_` is part of a
+# run's key.
 PUBLIC_PATHS = (
     "parking_exp.compose",
     "parking_exp.load",
@@ -59,24 +60,34 @@ def test_every_public_path_resolves(path):
 
 
 def test_every_target_of_ours_in_conf_is_a_public_path():
-    found = {name for path in (ROOT / "conf").rglob("*.yaml") for name in TARGET.findall(path.read_text())}
+    found = {
+        name
+        for path in (ROOT / "conf").rglob("*.yaml")
+        for name in TARGET.findall(path.read_text())
+    }
     assert found
     assert found <= set(PUBLIC_PATHS)
 
 
-@pytest.mark.parametrize("document", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "document", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name
+)
 def test_documents_name_public_paths_and_rooms_alone(document):
     text = document.read_text(encoding="utf-8")
-    found = {f"{module}.{name.strip()}" for module, names in IMPORTED.findall(text) for name in names.split(",")}
+    found = {
+        f"{module}.{name.strip()}"
+        for module, names in IMPORTED.findall(text)
+        for name in names.split(",")
+    }
     found |= set(NAMED.findall(IMPORTED.sub("", text)))
     assert found - set(PUBLIC_PATHS) - {f"parking_exp.{room}" for room in ROOMS} == set()
 
 
 def test_importing_the_package_imports_nothing_heavy():
-    code = (
-        "import sys, parking_exp; print(sorted({'torch', 'mlflow', 'pandas', 'hydra', 'pydantic'} & set(sys.modules)))"
+    code = "import sys, parking_exp; print(sorted({'torch', 'mlflow', 'pandas', 'hydra', 'pydantic'} & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True)
     assert done.stdout == "[]\n"
 
 
@@ -92,13 +103,22 @@ def _imported(path):
 def test_every_package_that_is_imported_is_declared():
     """The extras count as well: what needs one of them says so when it is missing."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = [project["optional-dependencies"][extra] for extra in ("contrib", "export", "bench", "slurm", "ray")]
-    declared = [re.match(r"[\w-]+", line)[0] for line in itertools.chain(project["dependencies"], *extras)]
+    extras = [
+        project["optional-dependencies"][extra]
+        for extra in ("contrib", "export", "bench", "slurm", "ray")
+    ]
+    declared = [
+        re.match(r"[\w-]+", line)[0] for line in itertools.chain(project["dependencies"], *extras)
+    ]
     names = {name.lower().replace("_", "-") for name in declared}
     imported = {name for path in (ROOT / "parking_exp").rglob("*.py") for name in _imported(path)}
     owners = packages_distributions()
     third_party = imported - sys.stdlib_module_names - {"parking_exp"}
-    assert [n for n in third_party if not {owner.lower().replace("_", "-") for owner in owners[n]} & names] == []
+    assert [
+        n
+        for n in third_party
+        if not {owner.lower().replace("_", "-") for owner in owners[n]} & names
+    ] == []
 
 
 def test_a_composed_config_is_checked_and_of_one_run():

@@ -22,7 +22,8 @@ def test_cores_are_dealt_out_evenly(n_cores, n_workers, expected):
 
 
 @pytest.mark.parametrize(
-    ("visible", "expected"), [("0,1", ["0", "1"]), ("GPU-a, GPU-b", ["GPU-a", "GPU-b"]), ("", []), ("-1", [])]
+    ("visible", "expected"),
+    [("0,1", ["0", "1"]), ("GPU-a, GPU-b", ["GPU-a", "GPU-b"]), ("", []), ("-1", [])],
 )
 def test_visible_devices_are_those_that_are_shared_out(monkeypatch, visible, expected):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
@@ -30,7 +31,9 @@ def test_visible_devices_are_those_that_are_shared_out(monkeypatch, visible, exp
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "sched_getaffinity") or len(cores()) < 2, reason="needs two cores to pin to")
+@pytest.mark.skipif(
+    not hasattr(os, "sched_getaffinity") or len(cores()) < 2, reason="needs two cores to pin to"
+)
 def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_path):
     environment = {**FAILING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
     done = run_script(
@@ -39,7 +42,8 @@ def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_pa
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     workers = sorted(
-        (json.loads(path.read_text()) for path in tmp_path.glob("*.json")), key=lambda worker: worker["cores"]
+        (json.loads(path.read_text()) for path in tmp_path.glob("*.json")),
+        key=lambda worker: worker["cores"],
     )
     assert [worker["cores"] for worker in workers] == shares(cores(), 2)
     assert [worker["devices"] for worker in workers] == ["4", "5"]

@@ -13,9 +13,10 @@ from stable_baselines3.common.vec_env import VecEnv
 class EpsilonRandomActionNoise(NormalActionNoise):
     """Draw normal noise, or with probability `epsilon` uniform noise in [-2, 2].
 
-    As HER's authors explore (Plappert et al. 2018, arXiv:1802.09464, appendix): normal noise alone seldom leads a
-    robot's gripper to a box. Theirs is a random action; noise does not know the action, so this one is uniform in
-    [-2, 2], and Stable-Baselines3 clips the sum to [-1, 1]. Half of the sums are uniform in [-1, 1], others at a bound.
+    As HER's authors explore (Plappert et al. 2018, arXiv:1802.09464, appendix): normal noise alone
+    seldom leads a robot's gripper to a box. Theirs is a random action; noise does not know the
+    action, so this one is uniform in [-2, 2], and Stable-Baselines3 clips the sum to [-1, 1]. Half
+    of the sums are uniform in [-1, 1], others at a bound.
 
     Args:
         mean: of the normal noise, shape (actions,).
@@ -24,7 +25,9 @@ class EpsilonRandomActionNoise(NormalActionNoise):
         dtype: of the noise.
     """
 
-    def __init__(self, mean: np.ndarray, sigma: np.ndarray, epsilon: float, dtype: DTypeLike = np.float32) -> None:
+    def __init__(
+        self, mean: np.ndarray, sigma: np.ndarray, epsilon: float, dtype: DTypeLike = np.float32
+    ) -> None:
         super().__init__(mean, sigma, dtype)
         self.epsilon = epsilon
 
@@ -37,21 +40,29 @@ class EpsilonRandomActionNoise(NormalActionNoise):
 
 
 class VectorizedNormalNoise(VectorizedActionNoise):
-    """Vectorized normal noise: Stable-Baselines3's numbers, drawn in one call instead of `n_envs`."""
+    """Vectorized normal noise: Stable-Baselines3's numbers, drawn in one call instead of
+    `n_envs`.
+    """
 
     base_noise: NormalActionNoise
 
     def __call__(self) -> np.ndarray:
         """Return noise of shape (n_envs, actions)."""
         base = self.base_noise
-        return np.random.normal(base._mu, base._sigma, (self.n_envs, len(base._mu))).astype(base._dtype)
+        return np.random.normal(base._mu, base._sigma, (self.n_envs, len(base._mu))).astype(
+            base._dtype
+        )
 
 
 def make_action_noise(node: Mapping[str, Any], env: VecEnv) -> ActionNoise:
-    """Make action noise, with arrays where YAML has lists, or one number for all dimensions of the action."""
+    """Make action noise, with arrays where YAML has lists, or one number for all dimensions of the
+    action.
+    """
     shape = env.action_space.shape or ()
     arrays = {
-        name: np.broadcast_to(np.array(node[name], np.float64), shape) for name in ("mean", "sigma") if name in node
+        name: np.broadcast_to(np.array(node[name], np.float64), shape)
+        for name in ("mean", "sigma")
+        if name in node
     }
     rest = {name: value for name, value in node.items() if name not in arrays}
     noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)

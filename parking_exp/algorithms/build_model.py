@@ -1,4 +1,6 @@
-"""Build a Stable-Baselines3 model from a config: the one place where third-party classes are instantiated."""
+"""Build a Stable-Baselines3 model from a config: the one place where third-party classes are
+instantiated.
+"""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -27,19 +29,27 @@ from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Policy, Task
 
 
-def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool = True) -> OffPolicyAlgorithm:
+def build_model(
+    config: RunConfig, env: VecEnv, seed: int, *, for_training: bool = True
+) -> OffPolicyAlgorithm:
     """Build the model that a config describes.
 
     Args:
         config: the run.
-        env: training envs, or one env of the same spaces; the HER buffer relabels with their `goal_reward`, if any.
+        env: training envs, or one env of the same spaces; the HER buffer relabels with their
+            `goal_reward`, if any.
         seed: of weights, exploration and minibatches.
         for_training: False skips the replay buffer, for a model that only predicts.
 
     Raises:
-        ConfigError: the library refuses an argument, or the algorithm would lose weights when it is saved.
+        ConfigError: the library refuses an argument, or the algorithm would lose weights when it is
+            saved.
     """
-    target, arguments, task = config.algorithm.target, config.algorithm.arguments, make_task(config.env)
+    target, arguments, task = (
+        config.algorithm.target,
+        config.algorithm.arguments,
+        make_task(config.env),
+    )
     train_freq, gradient_steps = config.update_rounds()
     node: dict[str, Any] = {
         "policy": POLICY,
@@ -56,8 +66,14 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         node.pop(name, None)
     # Hydra would copy objects into its config.
     build = instantiate(node)
-    objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config, task, env)}
-    if issubclass(objects["policy_kwargs"].get("features_extractor_class", type), SymmetricFeatures):
+    objects: dict[str, Any] = {
+        "env": env,
+        "train_freq": train_freq,
+        "policy_kwargs": _policy_kwargs(config, task, env),
+    }
+    if issubclass(
+        objects["policy_kwargs"].get("features_extractor_class", type), SymmetricFeatures
+    ):
         objects["policy"] = MIRRORED[policy_class(get_class(target))]
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
@@ -84,7 +100,8 @@ class NoReplayBuffer(DictReplayBuffer):
     def add(self, *_: Any) -> None:
         """Refuse a transition."""
         raise ModelError(
-            "this model only predicts, since it has no replay buffer; parking_exp.train() trains a run, and "
+            "this model only predicts, since it has no replay buffer; parking_exp.train() trains a "
+            "run, and "
             "Stable-Baselines3's load() reads models/final.zip of its directory"
         )
 
@@ -95,10 +112,11 @@ def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
 
 
 def _skip_compiler_import() -> None:
-    """Keep torch from importing its compiler when the first optimizer is made: 1.1 to 4 s of CPU time of every run.
+    """Keep torch from importing its compiler when the first optimizer is made: 1.1 to 4 s of CPU
+    time of every run.
 
-    torch imports it to exclude some methods of optimizers from compilation unless they have this mark, see
-    `torch._compile._disable_dynamo`.
+    torch imports it to exclude some methods of optimizers from compilation unless they have this
+    mark, see `torch._compile._disable_dynamo`.
     """
     for name in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
         plain = getattr(getattr(torch.optim.Optimizer, name), "__wrapped__", None)
@@ -107,24 +125,39 @@ def _skip_compiler_import() -> None:
 
 
 def _unsaved_weights(model: OffPolicyAlgorithm) -> list[str]:
-    """Return the networks, optimizers and tensors of a model that its `_get_torch_save_params()` does not name."""
+    """Return the networks, optimizers and tensors of a model that its `_get_torch_save_params()`
+    does not name.
+    """
     saved = [recursive_getattr(model, name) for name in chain(*model._get_torch_save_params())]
     if not saved:  # such as the classes of sbx
         return ["all weights"]
-    parts = {id(part) for value in saved for part in (value.modules() if isinstance(value, nn.Module) else [value])}
+    parts = {
+        id(part)
+        for value in saved
+        for part in (value.modules() if isinstance(value, nn.Module) else [value])
+    }
     kinds = (nn.Module, torch.optim.Optimizer, torch.Tensor)
-    return [name for name, value in vars(model).items() if isinstance(value, kinds) and id(value) not in parts]
+    return [
+        name
+        for name, value in vars(model).items()
+        if isinstance(value, kinds) and id(value) not in parts
+    ]
 
 
 def _policy_kwargs(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]:
     policy_kwargs: dict[str, Any] = {"net_arch": list(config.algorithm.net_arch)}
     if (features := task.features(config.algorithm.features)) is not None:
         extractor, arguments = features
-        policy_kwargs |= {"features_extractor_class": extractor, "features_extractor_kwargs": arguments}
+        policy_kwargs |= {
+            "features_extractor_class": extractor,
+            "features_extractor_kwargs": arguments,
+        }
     elif config.algorithm.normalize:
         assert isinstance(env.observation_space, spaces.Dict)
         policy_kwargs["features_extractor_class"] = NormalizedExtractor
-        policy_kwargs["features_extractor_kwargs"] = {"normalizer": Normalizer(env.observation_space)}
+        policy_kwargs["features_extractor_kwargs"] = {
+            "normalizer": Normalizer(env.observation_space)
+        }
     elif (policy := policy_class(get_class(config.algorithm.target))) is None or takes(
         policy, "features_extractor_class"
     ):
@@ -132,12 +165,17 @@ def _policy_kwargs(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]
         policy_kwargs["features_extractor_class"] = CombinedExtractor
     custom = config.algorithm.arguments.get("policy_kwargs") or {}
     classes = {name: _class(value) for name, value in custom.items() if name in CLASS_ARGUMENTS}
-    rest = instantiate({name: value for name, value in custom.items() if name not in classes} | {"_convert_": "all"})
+    rest = instantiate(
+        {name: value for name, value in custom.items() if name not in classes}
+        | {"_convert_": "all"}
+    )
     return policy_kwargs | rest | classes
 
 
 def _class(value: Any) -> Any:
-    """Return the class that a dotted path names, or a class with the arguments of a `_target_` node."""
+    """Return the class that a dotted path names, or a class with the arguments of a `_target_`
+    node.
+    """
     if isinstance(value, Mapping):
         return instantiate({**value, "_convert_": "all", "_partial_": True})
     return get_class(value) if isinstance(value, str) else value

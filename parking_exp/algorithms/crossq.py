@@ -16,21 +16,30 @@ class ObservationBatch(dict[str, torch.Tensor]):
 
     @classmethod
     def __torch_function__(
-        cls, function: Callable[..., Any], types: Sequence[type], args: tuple = (), kwargs: Mapping | None = None
+        cls,
+        function: Callable[..., Any],
+        types: Sequence[type],
+        args: tuple = (),
+        kwargs: Mapping | None = None,
     ) -> "ObservationBatch":
         """Handle `torch.cat([batch, ...])`, and nothing else."""
         if function is not torch.cat:
             return NotImplemented
         batches = args[0]
         return cls(
-            {key: torch.cat([batch[key] for batch in batches], *args[1:], **(kwargs or {})) for key in batches[0]}
+            {
+                key: torch.cat([batch[key] for batch in batches], *args[1:], **(kwargs or {}))
+                for key in batches[0]
+            }
         )
 
 
 class CrossQ(sb3_contrib.CrossQ):
-    """sb3_contrib's CrossQ with a MultiInputPolicy, so that it learns from goal observations, with HER or without.
+    """sb3_contrib's CrossQ with a MultiInputPolicy, so that it learns from goal observations, with
+    HER or without.
 
-    Upstream joins observations of a batch with `torch.cat`, which refuses dicts, and does not implement
+    Upstream joins observations of a batch with `torch.cat`, which refuses dicts, and does not
+    implement
     MultiInputPolicy. Its arithmetic is unchanged: here batches are dicts that can be joined.
     """
 
@@ -52,7 +61,10 @@ def _joinable_samples(buffer: ReplayBuffer) -> Iterator[None]:
 
     def joinable(*args: Any, **kwargs: Any) -> Any:
         data: Any = sample(*args, **kwargs)
-        observations, following = ObservationBatch(data.observations), ObservationBatch(data.next_observations)
+        observations, following = (
+            ObservationBatch(data.observations),
+            ObservationBatch(data.next_observations),
+        )
         return data._replace(observations=observations, next_observations=following)
 
     buffer.sample = joinable  # type: ignore[method-assign]

@@ -1,6 +1,8 @@
-"""Policies of SAC and TD3 for tasks with a mirror symmetry: their networks see one of two mirror images.
+"""Policies of SAC and TD3 for tasks with a mirror symmetry: their networks see one of two mirror
+images.
 
-The env's actions are not mirrored: an actor's output is mirrored after its network, a critic's action before it.
+The env's actions are not mirrored: an actor's output is mirrored after its network, a critic's
+action before it.
 """
 
 from typing import Any
@@ -34,7 +36,9 @@ class MirroredGaussianActor(sac.Actor):
         return self.features_extractor.mirror(super().forward(obs, deterministic), obs)
 
     def action_log_prob(self, obs: Any) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return sampled actions, shape (batch, actions), and their log probabilities, shape (batch,)."""
+        """Return sampled actions, shape (batch, actions), and their log probabilities, shape
+        (batch,).
+        """
         actions, log_prob = super().action_log_prob(obs)
         return self.features_extractor.mirror(actions, obs), log_prob
 
@@ -56,8 +60,12 @@ class MirroredCritic(ContinuousCritic):
 class _MirroredCritics:
     """Mixin of policies: their critics are mirrored."""
 
-    def make_critic(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> MirroredCritic:
-        return MirroredCritic(**self._update_features_extractor(self.critic_kwargs, features_extractor)).to(self.device)
+    def make_critic(
+        self: Any, features_extractor: BaseFeaturesExtractor | None = None
+    ) -> MirroredCritic:
+        return MirroredCritic(
+            **self._update_features_extractor(self.critic_kwargs, features_extractor)
+        ).to(self.device)
 
 
 class MirroredTD3Policy(_MirroredCritics, td3.MultiInputPolicy):
@@ -65,17 +73,24 @@ class MirroredTD3Policy(_MirroredCritics, td3.MultiInputPolicy):
 
     def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> MirroredActor:
         """Return an actor with weights of its own."""
-        return MirroredActor(**self._update_features_extractor(self.actor_kwargs, features_extractor)).to(self.device)
+        return MirroredActor(
+            **self._update_features_extractor(self.actor_kwargs, features_extractor)
+        ).to(self.device)
 
 
 class MirroredSACPolicy(_MirroredCritics, sac.MultiInputPolicy):
     """SAC's policy for Dict observations, mirrored."""
 
-    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> MirroredGaussianActor:
+    def make_actor(
+        self, features_extractor: BaseFeaturesExtractor | None = None
+    ) -> MirroredGaussianActor:
         """Return an actor with weights of its own."""
         arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
         return MirroredGaussianActor(**arguments).to(self.device)
 
 
-MIRRORED: dict[type | None, type] = {td3.MultiInputPolicy: MirroredTD3Policy, sac.MultiInputPolicy: MirroredSACPolicy}
+MIRRORED: dict[type | None, type] = {
+    td3.MultiInputPolicy: MirroredTD3Policy,
+    sac.MultiInputPolicy: MirroredSACPolicy,
+}
 """Policies of Stable-Baselines3 and what replaces them."""

@@ -1,6 +1,7 @@
 """Save and load model files: zips as Stable-Baselines3 saves them.
 
-The pickled part of a file is not read, and tensors are loaded as torch's `weights_only`: nothing in it is executed.
+The pickled part of a file is not read, and tensors are loaded as torch's `weights_only`: nothing in
+it is executed.
 """
 
 import io
@@ -35,7 +36,9 @@ def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
 
 
 def write_zip(model: OffPolicyAlgorithm, path: Path, exclude: Iterable[str] = ()) -> None:
-    """Write a model with Stable-Baselines3, whatever the clock says: zip files have times from 1980 to 2107 only."""
+    """Write a model with Stable-Baselines3, whatever the clock says: zip files have times from 1980
+    to 2107 only.
+    """
     now = time.localtime(time.time())
     possible = min(max(now[:6], EARLIEST), LATEST)
     if possible == now[:6]:
@@ -49,8 +52,8 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
     """Load all parameters, optimizers and other tensors of a model.
 
     Raises:
-        ModelError: the file cannot be read, holds something other than weights, or is that of another model; some
-            weights may have been loaded by then.
+        ModelError: the file cannot be read, holds something other than weights, or is that of
+            another model; some weights may have been loaded by then.
     """
     weights, variables = read_weights(path, model.device)
     _, names = model._get_torch_save_params()
@@ -64,7 +67,9 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
     except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         problem = one_line("".join(str(error).splitlines()[:2]))
         name = type(model).__name__
-        raise ModelError(f"{path} does not fit {name} as its config.yaml describes it: {problem}") from error
+        raise ModelError(
+            f"{path} does not fit {name} as its config.yaml describes it: {problem}"
+        ) from error
 
 
 def read_weights(path: Path, device: torch.device) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -1,8 +1,9 @@
 """Scale observations and goals by their means and standard deviations, inside the policy.
 
-One set of statistics serves achieved and desired goals, as in OpenAI Baselines, the HER paper's implementation: virtual
-goals pass through the same scaling as real ones. Stable-Baselines3's `VecNormalize` has one for each entry, and scales
-a goal that HER moves from one to the other in two ways.
+One set of statistics serves achieved and desired goals, as in OpenAI Baselines, the HER paper's
+implementation: virtual goals pass through the same scaling as real ones. Stable-Baselines3's
+`VecNormalize` has one for each entry, and scales a goal that HER moves from one to the other in two
+ways.
 """
 
 from collections.abc import Mapping
@@ -20,13 +21,17 @@ KINDS = {"observation": "observation", "achieved_goal": "goal", "desired_goal": 
 
 
 def entry_kinds(space: spaces.Dict) -> dict[str, str]:
-    """Return the entries of an observation and the names of their statistics, further entries last."""
+    """Return the entries of an observation and the names of their statistics, further entries
+    last.
+    """
     others = [key for key in space.spaces if key not in KINDS]
     return {**KINDS, **{key: f"entry_{number}" for number, key in enumerate(others)}}
 
 
 class Normalizer(nn.Module):
-    """Means and standard deviations of what the training envs have shown; saved with the policy that has it."""
+    """Means and standard deviations of what the training envs have shown; saved with the policy
+    that has it.
+    """
 
     def __init__(self, space: spaces.Dict) -> None:
         super().__init__()
@@ -41,15 +46,21 @@ class Normalizer(nn.Module):
         """Add observations, each entry of shape (n, ...)."""
         for key, kind in self.kinds.items():
             count = self.get_buffer(f"{kind}_count")
-            values = torch.as_tensor(observations[key], dtype=torch.float64, device=count.device).flatten(1)
+            values = torch.as_tensor(
+                observations[key], dtype=torch.float64, device=count.device
+            ).flatten(1)
             count.add_(len(values))
             self.get_buffer(f"{kind}_sum").add_(values.sum(0))
             self.get_buffer(f"{kind}_squares").add_((values**2).sum(0))
 
     def forward(self, key: str, values: torch.Tensor) -> torch.Tensor:
-        """Return an entry, shape (batch, size), in standard deviations from the mean; unscaled before any update."""
+        """Return an entry, shape (batch, size), in standard deviations from the mean; unscaled
+        before any update.
+        """
         kind = self.kinds[key]
-        count, total, squares = (self.get_buffer(f"{kind}_{name}") for name in ("count", "sum", "squares"))
+        count, total, squares = (
+            self.get_buffer(f"{kind}_{name}") for name in ("count", "sum", "squares")
+        )
         known = torch.clamp(count, min=1.0)
         mean = total / known
         deviation = torch.sqrt(torch.clamp(squares / known - mean**2, min=MIN_STD**2))
@@ -66,16 +77,24 @@ class NormalizedExtractor(TaskFeatures):
     """
 
     def __init__(self, observation_space: spaces.Dict, normalizer: Normalizer) -> None:
-        super().__init__(observation_space, sum(spaces.flatdim(observation_space[key]) for key in normalizer.kinds))
+        super().__init__(
+            observation_space,
+            sum(spaces.flatdim(observation_space[key]) for key in normalizer.kinds),
+        )
         self.normalizer = normalizer
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, size of all entries)."""
-        return torch.cat([self.normalizer(key, observations[key].flatten(1)) for key in self.normalizer.kinds], dim=1)
+        return torch.cat(
+            [self.normalizer(key, observations[key].flatten(1)) for key in self.normalizer.kinds],
+            dim=1,
+        )
 
 
 class UpdateNormalizer(BaseCallback):
-    """Add each step of the training envs to the statistics of a model's normalizer, if it has one."""
+    """Add each step of the training envs to the statistics of a model's normalizer, if it has
+    one.
+    """
 
     def _on_step(self) -> bool:
         extractor = getattr(self.model.policy.actor, "features_extractor", None)

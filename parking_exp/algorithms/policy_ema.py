@@ -1,4 +1,6 @@
-"""Exponential moving average (EMA) of an actor's weights: steadier than the actor that is trained."""
+"""Exponential moving average (EMA) of an actor's weights: steadier than the actor that is
+trained.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,7 +15,8 @@ ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
 class PolicyEMA:
     """Exponential moving average of the weights of a model's actor over its gradient updates.
 
-    It begins with the weights after the first round of updates, and includes the statistics of batch normalisation.
+    It begins with the weights after the first round of updates, and includes the statistics of
+    batch normalisation.
 
     Args:
         model: a Stable-Baselines3 model with an actor.
@@ -23,7 +26,11 @@ class PolicyEMA:
     def __init__(self, model: OffPolicyAlgorithm, half_life: float | None) -> None:
         self.model, self.half_life = model, half_life
         weights = model.policy.state_dict().items()
-        self._names = [name for name, weight in weights if name.startswith(ACTOR) and weight.is_floating_point()]
+        self._names = [
+            name
+            for name, weight in weights
+            if name.startswith(ACTOR) and weight.is_floating_point()
+        ]
         self._weights: list[torch.Tensor] = []
         self._updates = 0
 

@@ -1,7 +1,7 @@
 """Save and load an actor's weights as safetensors: nothing in such a file can be executed.
 
-Policies of different classes can have weights of the same names and shapes, so the file's metadata names the classes of
-the policy and of its features extractor.
+Policies of different classes can have weights of the same names and shapes, so the file's metadata
+names the classes of the policy and of its features extractor.
 """
 
 from pathlib import Path
@@ -29,7 +29,8 @@ def save_policy(model: OffPolicyAlgorithm, path: Path) -> None:
 
 
 def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
-    """Give a model's actor the weights of a file, all of them or none; its critics stay as they are.
+    """Give a model's actor the weights of a file, all of them or none; its critics stay as they
+    are.
 
     Raises:
         ModelError: the file cannot be read, or is the actor of another model.
@@ -43,18 +44,26 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
     actor = _actor(model)
     for part, name in _classes(model).items():
         if metadata.get(part, name) != name:
-            raise ModelError(f"{path} has the weights of another policy: its {part} is {metadata[part]}, not {name}")
+            raise ModelError(
+                f"{path} has the weights of another policy: its {part} is {metadata[part]}, not "
+                f"{name}"
+            )
     formats, expected = (
-        {name: (tensor.dtype, tensor.shape) for name, tensor in tensors.items()} for tensors in (weights, actor)
+        {name: (tensor.dtype, tensor.shape) for name, tensor in tensors.items()}
+        for tensors in (weights, actor)
     )
-    if different := [name for name in expected | formats if formats.get(name) != expected.get(name)]:
+    if different := [
+        name for name in expected | formats if formats.get(name) != expected.get(name)
+    ]:
         raise ModelError(f"{path} does not fit this {type(model).__name__}: {different[0]} differs")
     for name, weight in actor.items():
         weight.copy_(weights[name])
 
 
 def _actor(model: OffPolicyAlgorithm) -> dict[str, torch.Tensor]:
-    weights = {name: weight for name, weight in model.policy.state_dict().items() if name.startswith(ACTOR)}
+    weights = {
+        name: weight for name, weight in model.policy.state_dict().items() if name.startswith(ACTOR)
+    }
     if not weights:
         raise ModelError(f"{type(model).__name__} has no actor")
     return weights

@@ -1,7 +1,9 @@
-"""Index of the episodes in a replay buffer, updated with each transition, so that sampling never searches.
+"""Index of the episodes in a replay buffer, updated with each transition, so that sampling never
+searches.
 
-All envs write into the same row of a ring at each step. Steps are counted from the start; a step's row is its number
-modulo the capacity. In each env, the transitions of whole episodes are those from step `tail` to step `head`.
+All envs write into the same row of a ring at each step. Steps are counted from the start; a step's
+row is its number modulo the capacity. In each env, the transitions of whole episodes are those from
+step `tail` to step `head`.
 """
 
 from collections.abc import Mapping
@@ -15,21 +17,27 @@ ARRAYS = ("tail", "head", "current", "table")
 class EpisodeIndex:
     """Episodes in a ring of `capacity` rows, one transition of each of `n_envs` envs in a row.
 
-    A transition's index is row * n_envs + env. An episode has a record in `table` (the `start` row, the `length`, 0
-    while it is under way, and the first desired `goal`), which is reused when its last transition is overwritten.
+    A transition's index is row * n_envs + env. An episode has a record in `table` (the `start` row,
+    the `length`, 0 while it is under way, and the first desired `goal`), which is reused when its
+    last transition is overwritten.
 
     Attributes:
         steps: rows written since the start.
         tail, head: of each env, the steps between which its whole episodes lie, shape (n_envs,).
-        current: record ids of the episodes under way, or NO_EPISODE between two episodes, shape (n_envs,).
+        current: record ids of the episodes under way, or NO_EPISODE between two episodes, shape
+            (n_envs,).
     """
 
-    def __init__(self, capacity: int, n_envs: int, goal_dtype: np.dtype, goal_shape: tuple[int, ...]) -> None:
+    def __init__(
+        self, capacity: int, n_envs: int, goal_dtype: np.dtype, goal_shape: tuple[int, ...]
+    ) -> None:
         self.capacity, self.n_envs = capacity, n_envs
         self.steps = 0
         self.tail, self.head = np.zeros(n_envs, np.int64), np.zeros(n_envs, np.int64)
         self.current = np.full(n_envs, NO_EPISODE)
-        self.table = np.zeros(0, [("start", np.int32), ("length", np.int32), ("goal", goal_dtype, goal_shape)])
+        self.table = np.zeros(
+            0, [("start", np.int32), ("length", np.int32), ("goal", goal_dtype, goal_shape)]
+        )
         self._unused: list[int] = []  # record ids
 
     def __len__(self) -> int:
@@ -52,7 +60,9 @@ class EpisodeIndex:
             return
         for env in np.flatnonzero(self.tail <= oldest + 1):
             record_id = int(record_ids[env])
-            alone = record_id == self.current[env]  # an episode that fills the ring: it loses its beginning
+            alone = (
+                record_id == self.current[env]
+            )  # an episode that fills the ring: it loses its beginning
             if self.tail[env] == oldest:
                 if alone:
                     self.table["start"][record_id] = (oldest + 1) % self.capacity
@@ -76,7 +86,8 @@ class EpisodeIndex:
         ends = np.add.accumulate(self.head - self.tail)
         if not ends[-1]:
             raise RuntimeError(
-                "HER cannot sample before an episode has ended; set learning_starts to the longest episode x n_envs"
+                "HER cannot sample before an episode has ended; set learning_starts to the longest "
+                "episode x n_envs"
             )
         positions = rng.integers(ends[-1], size=number)
         env = ends.searchsorted(positions, side="right")

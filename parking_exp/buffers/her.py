@@ -16,33 +16,44 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from parking_exp.buffers.episode_index import NO_EPISODE
 from parking_exp.buffers.storage import Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.config.argument_limits import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
+from parking_exp.config.argument_limits import (
+    GoalStrategy,
+    GoalVelocity,
+    RelabelCollision,
+    RelabelTerminated,
+)
 from parking_exp.tasks.task import GoalReward, Observation
 
 NO_GOALS = np.empty(0, np.int64)
 
 
 class HerBuffer(HerReplayBuffer):
-    """Replay buffer with virtual goals, at a cost that depends neither on its capacity nor on how full it is.
+    """Replay buffer with virtual goals, at a cost that depends neither on its capacity nor on how
+    full it is.
 
-    With `relabel_collision` and `relabel_terminated` at `sb3` and `goal_velocity` at `achieved`, which are the
-    defaults, batches are Stable-Baselines3's. It draws from NumPy's global generator only its own seed. An env that is
-    reset in the middle of an episode truncates it, where Stable-Baselines3 would continue it.
+    With `relabel_collision` and `relabel_terminated` at `sb3` and `goal_velocity` at `achieved`,
+    which are the defaults, batches are Stable-Baselines3's. It draws from NumPy's global generator
+    only its own seed. An env that is reset in the middle of an episode truncates it, where
+    Stable-Baselines3 would continue it.
 
     Memory is 112 bytes for a transition of parking-v0, and 60 to 90 for an episode.
 
     Args (others are those of `HerReplayBuffer`):
-        n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every batch. Those that the
-            options below allow no virtual goal keep their own, and count as real.
-        goal_selection_strategy: `future`, `final`, `episode`, `random` (any goal achieved so far), or None: no
-            virtual transitions, and transitions of episodes under way are drawn too.
-        relabel_collision: the penalty of a failure (parking: a collision) with a virtual goal. `keep`: it is added.
-            `sb3`: it is not, since `compute_reward` knows none. `exclude`: transitions at which the episode fails are
-            neither relabelled nor used as goals.
-        relabel_terminated: when a virtual transition ends its episode. `sb3`: when the real one did. `goal`: when the
-            virtual goal is reached. `goal_and_crash`: also at a failure (Stable-Baselines3 issue 627). `env`: as in the
-            env; if that ends episodes at their goal, as `goal_and_crash`, and transitions that start at the virtual
-            goal are not relabelled. Otherwise the agent learns that standing still counts as success.
+        n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every
+            batch. Those that the options below allow no virtual goal keep their own, and count as
+            real.
+        goal_selection_strategy: `future`, `final`, `episode`, `random` (any goal achieved so far),
+            or None: no virtual transitions, and transitions of episodes under way are drawn too.
+        relabel_collision: the penalty of a failure (parking: a collision) with a virtual goal.
+        `keep`: it is added.
+            `sb3`: it is not, since `compute_reward` knows none. `exclude`: transitions at which the
+            episode fails are neither relabelled nor used as goals.
+        relabel_terminated: when a virtual transition ends its episode. `sb3`: when the real one
+        did. `goal`: when the
+            virtual goal is reached. `goal_and_crash`: also at a failure (Stable-Baselines3 issue
+            627). `env`: as in the env; if that ends episodes at their goal, as `goal_and_crash`,
+            and transitions that start at the virtual goal are not relabelled. Otherwise the agent
+            learns that standing still counts as success.
         goal_velocity: of virtual goals: `achieved`, or `zero` as of real goals.
         reward: the env's reward; None: the `compute_reward` of `env`.
 
@@ -67,13 +78,22 @@ class HerBuffer(HerReplayBuffer):
         goal_velocity: GoalVelocity = "achieved",
         reward: GoalReward | None = None,
     ) -> None:
-        # Not HerReplayBuffer's own: it would allocate 400 bytes a transition, empty dicts among them.
-        BaseBuffer.__init__(self, max(buffer_size // n_envs, 1), observation_space, action_space, device, n_envs)
+        # Not HerReplayBuffer's own: it would allocate 400 bytes a transition, empty dicts among
+        # them.
+        BaseBuffer.__init__(
+            self, max(buffer_size // n_envs, 1), observation_space, action_space, device, n_envs
+        )
         assert not optimize_memory_usage, "HerBuffer does not support optimize_memory_usage"
         if goal_selection_strategy not in (*STRATEGIES, None):
             raise ValueError(f"{goal_selection_strategy=} is not one of {', '.join(STRATEGIES)}")
-        if reward is None and (relabel_collision, relabel_terminated, goal_velocity) != ("sb3", "sb3", "achieved"):
-            raise ValueError("relabel_collision, relabel_terminated and goal_velocity need a reward")
+        if reward is None and (relabel_collision, relabel_terminated, goal_velocity) != (
+            "sb3",
+            "sb3",
+            "achieved",
+        ):
+            raise ValueError(
+                "relabel_collision, relabel_terminated and goal_velocity need a reward"
+            )
         self.env, self.reward = env, reward
         self.handle_timeout_termination = handle_timeout_termination
         self.goal_selection_strategy = goal_selection_strategy  # type: ignore[assignment]
@@ -109,7 +129,8 @@ class HerBuffer(HerReplayBuffer):
         """Store a transition of each env.
 
         Args:
-            obs, next_obs: Dict observations, each entry of shape (n_envs, ...); where an episode ended, the last one's.
+            obs, next_obs: Dict observations, each entry of shape (n_envs, ...); where an episode
+                ended, the last one's.
             action: shape (n_envs, actions).
             reward, done: shape (n_envs,).
             infos: of the envs; the reward's `failure_key` and `TimeLimit.truncated` are read.
@@ -146,7 +167,11 @@ class HerBuffer(HerReplayBuffer):
         Raises:
             RuntimeError: no episode has ended yet.
         """
-        draw = self.episodes.draw_stored if self.goal_selection_strategy is None else self.episodes.draw
+        draw = (
+            self.episodes.draw_stored
+            if self.goal_selection_strategy is None
+            else self.episodes.draw
+        )
         index, virtual = draw(self.rng, batch_size), int(self.her_ratio * batch_size)
         transitions, goal_index = self.storage.take(index), NO_GOALS
         if virtual:
@@ -156,11 +181,13 @@ class HerBuffer(HerReplayBuffer):
     def select_goals(self, index: np.ndarray, record: np.ndarray) -> np.ndarray:
         """Return the indices of the transitions whose next achieved goals become virtual goals.
 
-        A subclass may override this with its own strategy, which should draw from `self.rng`: checkpoints save it.
+        A subclass may override this with its own strategy, which should draw from `self.rng`:
+        checkpoints save it.
 
         Args:
             index: of the transitions that get virtual goals, shape (n,).
-            record: their episodes: `start`, the row of the first transition, and `length`, shape (n,).
+            record: their episodes: `start`, the row of the first transition, and `length`, shape
+                (n,).
         """
         return STRATEGIES[str(self.goal_selection_strategy)](self.rng, self.episodes, index, record)
 
@@ -179,12 +206,20 @@ class HerBuffer(HerReplayBuffer):
     def get_state(self) -> dict[str, np.ndarray]:
         """Return the whole state as arrays, the filled part of the rows uncopied."""
         rng = np.frombuffer(json.dumps(self.rng.bit_generator.state).encode(), np.uint8)
-        counters = {"pos": np.array(self.pos), "full": np.array(self.full), "sampled": np.array(self.sampled)}
+        counters = {
+            "pos": np.array(self.pos),
+            "full": np.array(self.full),
+            "sampled": np.array(self.sampled),
+        }
         return counters | {"rng": rng} | self.storage.get_state() | self.episodes.get_state()
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Restore a state of a buffer with the same arguments; what follows is identical."""
-        self.pos, self.full, self.sampled = int(state["pos"]), bool(state["full"]), state["sampled"].tolist()
+        self.pos, self.full, self.sampled = (
+            int(state["pos"]),
+            bool(state["full"]),
+            state["sampled"].tolist(),
+        )
         self.rng.bit_generator.state = json.loads(state["rng"].tobytes())
         self.storage.set_state(state)
         self.episodes.set_state(state)
@@ -200,7 +235,9 @@ class HerBuffer(HerReplayBuffer):
     def _collect(
         self, transitions: Transitions, goal_index: np.ndarray, env: VecNormalize | None = None
     ) -> DictReplayBufferSamples:
-        """Make a minibatch of transitions; the last len(goal_index) get the goals that were achieved there."""
+        """Make a minibatch of transitions; the last len(goal_index) get the goals that were
+        achieved there.
+        """
         relabelled = self._relabel(transitions, goal_index) if len(goal_index) else 0
         self.sampled[0] += len(transitions.rewards) - relabelled
         self.sampled[1] += relabelled
@@ -217,7 +254,9 @@ class HerBuffer(HerReplayBuffer):
         )
 
     def _relabel(self, transitions: Transitions, goal_index: np.ndarray) -> int:
-        """Give the last transitions virtual goals, in place, where the options allow it; return how many got one."""
+        """Give the last transitions virtual goals, in place, where the options allow it; return how
+        many got one.
+        """
         last = slice(-len(goal_index), None)
         goals, failed = self.storage.achieved(goal_index), transitions.failed[last]
         if self.reward is not None and self.goal_velocity == "zero":
@@ -229,8 +268,12 @@ class HerBuffer(HerReplayBuffer):
         if terminates == "env" and self.reward is not None and not self.reward.terminates:
             terminates = "sb3"
         if self.reward is not None and terminates == "env":
-            allowed &= ~self.reward(transitions.obs["achieved_goal"][last], goals, transitions.info[last])[1]
-        rewards, reached = self._reward(transitions.next_obs["achieved_goal"][last], goals, transitions.info[last])
+            allowed &= ~self.reward(
+                transitions.obs["achieved_goal"][last], goals, transitions.info[last]
+            )[1]
+        rewards, reached = self._reward(
+            transitions.next_obs["achieved_goal"][last], goals, transitions.info[last]
+        )
         if self.reward is not None and self.relabel_collision == "keep":
             rewards = rewards + self.reward.failure_penalty * failed
         transitions.rewards[last][allowed] = rewards[allowed]
@@ -241,11 +284,17 @@ class HerBuffer(HerReplayBuffer):
             obs["desired_goal"][last][allowed] = goals[allowed]
         return int(allowed.sum())
 
-    def _reward(self, achieved: np.ndarray, goals: np.ndarray, info: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the reward of goals, and whether they are reached if the reward function is known."""
+    def _reward(
+        self, achieved: np.ndarray, goals: np.ndarray, info: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the reward of goals, and whether they are reached if the reward function is
+        known.
+        """
         if self.reward is not None:
             return self.reward(achieved, goals, info)
-        assert self.env is not None, "give the buffer its envs (set_env), whose compute_reward it asks"
+        assert self.env is not None, (
+            "give the buffer its envs (set_env), whose compute_reward it asks"
+        )
         infos: list[dict[str, Any]] = [{} for _ in goals]
         (rewards,) = self.env.env_method("compute_reward", achieved, goals, infos, indices=[0])
         return np.reshape(rewards, -1), np.zeros(len(goals), bool)
@@ -253,7 +302,10 @@ class HerBuffer(HerReplayBuffer):
     def _tensors(self, entries: Observation) -> dict[str, torch.Tensor]:
         """Return tensors, one for entries that are the same array."""
         tensors: dict[int, torch.Tensor] = {}
-        return {key: tensors.setdefault(id(array), self._tensor(array)) for key, array in entries.items()}
+        return {
+            key: tensors.setdefault(id(array), self._tensor(array))
+            for key, array in entries.items()
+        }
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(np.ascontiguousarray(array), device=self.device)

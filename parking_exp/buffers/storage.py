@@ -1,4 +1,6 @@
-"""Storage of transitions: all fields of one lie together, so that reading it is one memory access."""
+"""Storage of transitions: all fields of one lie together, so that reading it is one memory
+access.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +14,11 @@ from stable_baselines3.common.preprocessing import get_action_dim, get_obs_shape
 from parking_exp.buffers.episode_index import EpisodeIndex
 from parking_exp.tasks.task import Observation
 
-TERMINATED, FAILED, ID_SHIFT = 1, 2, 2  # bits of `mark`; above them is the id of the episode's record
+TERMINATED, FAILED, ID_SHIFT = (
+    1,
+    2,
+    2,
+)  # bits of `mark`; above them is the id of the episode's record
 
 
 @dataclass
@@ -30,22 +36,35 @@ class Transitions:
 
 
 class Storage:
-    """Ring buffer of `capacity` rows, each with one transition of each of `n_envs` envs, and the index of its episodes.
+    """Ring buffer of `capacity` rows, each with one transition of each of `n_envs` envs, and the
+    index of its episodes.
 
-    Compact storage leaves out an achieved goal that equals the observation, as in parking-v0, and a desired goal that
-    is constant within an episode, whose record has it. The first transition that violates this widens all rows.
+    Compact storage leaves out an achieved goal that equals the observation, as in parking-v0, and a
+    desired goal that is constant within an episode, whose record has it. The first transition that
+    violates this widens all rows.
 
-    A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark; its episode's record, 56. If K
-    vehicles make the observation wider than a goal, it takes 304 + 80 K bytes.
+    A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark; its
+    episode's record, 56. If K vehicles make the observation wider than a goal, it takes 304 + 80 K
+    bytes.
     """
 
     def __init__(
-        self, capacity: int, n_envs: int, observation_space: spaces.Dict, action_space: spaces.Space, n_info: int = 0
+        self,
+        capacity: int,
+        n_envs: int,
+        observation_space: spaces.Dict,
+        action_space: spaces.Space,
+        n_info: int = 0,
     ) -> None:
         shapes: dict[str, tuple[int, ...]] = get_obs_shape(observation_space)  # type: ignore[assignment]
-        self.formats = {key: (space.dtype, shapes[key]) for key, space in observation_space.spaces.items()}
+        self.formats = {
+            key: (space.dtype, shapes[key]) for key, space in observation_space.spaces.items()
+        }
         self.episodes = EpisodeIndex(capacity, n_envs, *self.formats["desired_goal"])
-        self._action = (ReplayBuffer._maybe_cast_dtype(action_space.dtype), (get_action_dim(action_space),))
+        self._action = (
+            ReplayBuffer._maybe_cast_dtype(action_space.dtype),
+            (get_action_dim(action_space),),
+        )
         self._n_info = n_info
         self._allocate(compact=self.formats["achieved_goal"] == self.formats["observation"])
 
@@ -57,7 +76,9 @@ class Storage:
         }
 
     def other_goals(self, obs: Observation) -> np.ndarray:
-        """Return the envs whose desired goal changed within their episode; empty if storage is not compact."""
+        """Return the envs whose desired goal changed within their episode; empty if storage is not
+        compact.
+        """
         if not self.compact or not self.episodes.steps:
             return np.empty(0, np.int64)
         differs = obs["desired_goal"] != self.episodes.table["goal"][self.episodes.current]
@@ -106,17 +127,26 @@ class Storage:
         rows = self.data.reshape(-1).take(index)
         mark = rows["mark"]
         records = self.episodes.table.take(mark >> ID_SHIFT)
-        obs, next_obs = self._observation(rows["obs"], records), self._observation(rows["next_obs"], records)
+        obs, next_obs = (
+            self._observation(rows["obs"], records),
+            self._observation(rows["next_obs"], records),
+        )
         ended, failed = mark & TERMINATED > 0, mark & FAILED > 0
-        return Transitions(obs, next_obs, rows["action"], rows["reward"], ended, failed, rows["info"], records)
+        return Transitions(
+            obs, next_obs, rows["action"], rows["reward"], ended, failed, rows["info"], records
+        )
 
     def achieved(self, index: np.ndarray) -> np.ndarray:
         """Return what transitions achieved: their next achieved goals, as a copy."""
-        return self.data.reshape(-1)["next_obs"]["observation" if self.compact else "achieved_goal"][index]
+        return self.data.reshape(-1)["next_obs"][
+            "observation" if self.compact else "achieved_goal"
+        ][index]
 
     def failed(self, index: np.ndarray) -> np.ndarray:
         """Return whether episodes failed at transitions, by index."""
-        return self.data.reshape(-1)["mark"][index] & FAILED > 0  # `take` would copy the marks of all rows first
+        return (
+            self.data.reshape(-1)["mark"][index] & FAILED > 0
+        )  # `take` would copy the marks of all rows first
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything as arrays, the filled part of the rows uncopied."""
@@ -132,7 +162,11 @@ class Storage:
         left_out = {"achieved_goal", "desired_goal"} if compact else set()
         observed = [(key, *form) for key, form in self.formats.items() if key not in left_out]
         fields = [("obs", observed), ("next_obs", observed), ("action", *self._action)]
-        numbers = [("info", np.float64, (self._n_info,)), ("reward", np.float32), ("mark", np.uint32)]
+        numbers = [
+            ("info", np.float64, (self._n_info,)),
+            ("reward", np.float32),
+            ("mark", np.uint32),
+        ]
         dtype = np.dtype([*fields, *numbers])
         self.data = np.zeros((self.episodes.capacity, self.episodes.n_envs), dtype)
 

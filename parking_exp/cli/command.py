@@ -1,7 +1,7 @@
 """Run a command: parse its command line, call it, and turn errors into sentences and exit statuses.
 
-The command line has Hydra's flags and overrides, where `--dry-run` means `dry_run=true`; Hydra itself shows `--help`.
-Commands import torch and mlflow after our own keys are validated.
+The command line has Hydra's flags and overrides, where `--dry-run` means `dry_run=true`; Hydra
+itself shows `--help`. Commands import torch and mlflow after our own keys are validated.
 """
 
 import argparse
@@ -20,7 +20,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from parking_exp.config.compose import VERSION_BASE, compose_configs, user_options
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
-from parking_exp.errors import DISK_ERRORS, ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
+from parking_exp.errors import (
+    DISK_ERRORS,
+    ConfigError,
+    InterruptedRunError,
+    OutputDirectoryError,
+    ParkingError,
+)
 from parking_exp.terminal import (
     check_output,
     drop_unwritten_output,
@@ -36,7 +42,9 @@ Command = Callable[[list[str], str | None], None]
 """A function of the overrides and Hydra's `--config-dir`."""
 
 
-def run_command(config_name: str, command: Command, read: Callable[[list[str]], list[str]] = list) -> None:
+def run_command(
+    config_name: str, command: Command, read: Callable[[list[str]], list[str]] = list
+) -> None:
     """Run the command of this process, or show its help or config.
 
     Args:
@@ -56,7 +64,9 @@ def _run(config_name: str, command: Command, read: Callable[[list[str]], list[st
     try:
         Path.cwd()
     except FileNotFoundError as error:
-        raise ConfigError("the working directory does not exist any more; change to one that does") from error
+        raise ConfigError(
+            "the working directory does not exist any more; change to one that does"
+        ) from error
     options, words = _parse(sys.argv[1:])
     overrides = [to_hydra_syntax(override) for override in read(words)]
     if options.help:
@@ -69,11 +79,17 @@ def _run(config_name: str, command: Command, read: Callable[[list[str]], list[st
         command(overrides, options.config_dir)
 
 
-def for_each(config_name: str, validate: Callable[[DictConfig], Request], task: Callable[[Request], object]) -> Command:
-    """Return a command that runs a task for each config of the overrides, after all are validated."""
+def for_each(
+    config_name: str, validate: Callable[[DictConfig], Request], task: Callable[[Request], object]
+) -> Command:
+    """Return a command that runs a task for each config of the overrides, after all are
+    validated.
+    """
 
     def command(overrides: list[str], extra_config_dir: str | None) -> None:
-        requests = [validate(config) for config in compose_configs(config_name, overrides, extra_config_dir)]
+        requests = [
+            validate(config) for config in compose_configs(config_name, overrides, extra_config_dir)
+        ]
         for request in requests:
             task(request)
 
@@ -116,12 +132,16 @@ def fail(error: ParkingError) -> NoReturn:
 
 
 def _print_help(config_name: str, overrides: list[str]) -> None:
-    """Print Hydra's help, with the names that commands and `conf/` have where the package was installed."""
+    """Print Hydra's help, with the names that commands and `conf/` have where the package was
+    installed.
+    """
     sys.argv[1:] = ["--help", *overrides]
     output = io.StringIO()
     try:
         with redirect_stdout(output):
-            hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()  # it exits
+            hydra.main(str(config_dir()), config_name, VERSION_BASE)(
+                lambda config: None
+            )()  # it exits
     finally:
         text = output.getvalue()
         if not is_script():
@@ -136,7 +156,9 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--help", "-h", action="store_true")
     parser.add_argument("--cfg", "-c", choices=["job"])
-    parser.add_argument("--multirun", "-m", action="store_true")  # not needed: several values make a sweep
+    parser.add_argument(
+        "--multirun", "-m", action="store_true"
+    )  # not needed: several values make a sweep
     parser.add_argument("--config-dir", "-cd")
     try:
         options, words = parser.parse_known_args(arguments)
@@ -149,4 +171,8 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
 
 def _as_override(word: str) -> str:
     key, equals, value = word.partition("=")
-    return f"{key[2:].replace('-', '_')}={value if equals else 'true'}" if word.startswith("--") else word
+    return (
+        f"{key[2:].replace('-', '_')}={value if equals else 'true'}"
+        if word.startswith("--")
+        else word
+    )

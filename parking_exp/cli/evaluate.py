@@ -18,21 +18,32 @@ def evaluate(overrides: list[str], extra_config_dir: str | None) -> None:
 
 
 def read_overrides(words: list[str]) -> list[str]:
-    """Return words as overrides: without an option of `env`, `env.KEY` changes the env of the agent's training.
+    """Return words as overrides: without an option of `env`, `env.KEY` changes the env of the
+    agent's training.
 
     Raises:
-        ConfigError: a word is a key of training, which options of `env` add to the config, or of the agent.
+        ConfigError: a word is a key of training, which options of `env` add to the config, or of
+            the agent.
     """
     has_option = any(word.startswith("env=") for word in words)
     for word in words:
         key, _, value = word.lstrip("+~").partition("=")
         section = key.replace("/", ".").partition(".")[0]
         if section in TRAINING_KEYS:
-            raise ConfigError(f"{word} is a training key; {program('evaluate')} --help lists the keys of this command")
+            raise ConfigError(
+                f"{word} is a training key; {program('evaluate')} --help lists the keys of this "
+                "command"
+            )
         if f"{key}.".startswith("env.observation."):
             raise ConfigError(f"{word}: the observation is always that of the agent's training")
         if key == "env.simulator":
             raise ConfigError(f"{word}: choose it by simulator={value}")
         if key == "env.task" or (key == "env" and value.startswith("{")):
-            raise ConfigError(f"{word}: choose an option by env=NAME, and change its keys by env.KEY=VALUE")
-    return words if has_option else [f"++{word}" if word.startswith("env.") else word for word in words]
+            raise ConfigError(
+                f"{word}: choose an option by env=NAME, and change its keys by env.KEY=VALUE"
+            )
+    return (
+        words
+        if has_option
+        else [f"++{word}" if word.startswith("env.") else word for word in words]
+    )

@@ -19,9 +19,13 @@ def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
     """Write one report."""
     configs = compose_configs("report", overrides, extra_config_dir)
     if len(configs) > 1:
-        raise ConfigError("a report takes one value for each key; use name=... to write a second report")
+        raise ConfigError(
+            "a report takes one value for each key; use name=... to write a second report"
+        )
     request = validate_report(configs[0])
-    from parking_exp.reports.make_report import report  # imports pandas and matplotlib: after the check
+    from parking_exp.reports.make_report import (
+        report,
+    )  # imports pandas and matplotlib: after the check
 
     gc.disable()  # saves a third of the time of a large report, whose objects all live to its end
     report(request)
@@ -29,7 +33,8 @@ def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
 
 
 def read_overrides(words: list[str]) -> list[str]:
-    """Return Hydra's overrides for the words after `report.py`: words that are not a key of this command name cells.
+    """Return Hydra's overrides for the words after `report.py`: words that are not a key of this
+    command name cells.
 
     Labels of cells have commas, equal signs and spaces, which have another meaning for Hydra.
     """
@@ -37,7 +42,9 @@ def read_overrides(words: list[str]) -> list[str]:
     for word in words:
         key, equals, value = word.partition("=")
         if key == "experiment" and equals and value != "null":
-            overrides.append(f"{key}={_quote_list(value.removeprefix('[').removesuffix(']').split(','))}")
+            overrides.append(
+                f"{key}={_quote_list(value.removeprefix('[').removesuffix(']').split(','))}"
+            )
         elif key in {"baseline", "contrast", "from", "export"} and value not in {"", "null"}:
             overrides.append(f"{key}={in_quotes(without_quotes(value))}")
         elif key == "cells" and equals and value != "null" and not value.startswith("["):

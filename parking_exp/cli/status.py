@@ -1,4 +1,6 @@
-"""`scripts/status.py` and `parking-status`: show the progress of runs, read from their directories."""
+"""`scripts/status.py` and `parking-status`: show the progress of runs, read from their
+directories.
+"""
 
 import json
 import time
@@ -30,7 +32,9 @@ WATCH_S = 2.0
 
 def main() -> None:
     """Run the command."""
-    run_command("status", for_each("status", partial(parse, StatusRequest), show), rename_experiment)
+    run_command(
+        "status", for_each("status", partial(parse, StatusRequest), show), rename_experiment
+    )
 
 
 class StatusRequest(OutputConfig):
@@ -54,7 +58,9 @@ def show(request: StatusRequest) -> None:
     while True:
         states, searches = _read_states(request), _read_searches(request)
         if request.as_json:
-            content = as_plain(states) | {"searches": [_describe_search(*search) for search in searches.items()]}
+            content = as_plain(states) | {
+                "searches": [_describe_search(*search) for search in searches.items()]
+            }
             say(*json.dumps(content, indent=2).split("\n"))
         else:
             if request.watch:
@@ -86,7 +92,9 @@ def _prune(request: StatusRequest) -> None:
         if directory.is_locked or not directory.never_began:
             continue
         uri = directory.tracking_uri
-        stored_in = [store for store in stores if directory.run_id and uri and is_same_store(uri, store.uri)]
+        stored_in = [
+            store for store in stores if directory.run_id and uri and is_same_store(uri, store.uri)
+        ]
         if directory.delete_plan(before=partial(_delete_stored, directory, stored_in)):
             say(f"dropped  {path}", stderr=True)
 
@@ -103,21 +111,30 @@ def _stores(request: StatusRequest) -> set[str]:
 
 def _sync(request: StatusRequest) -> None:
     """Send to the stores whatever they lack."""
-    directories = [RunDirectory(path) for path in find_runs(request.output_path, request.experiment_name)]
+    directories = [
+        RunDirectory(path) for path in find_runs(request.output_path, request.experiment_name)
+    ]
     uris = _stores(request)
     for uri in {directory.tracking_uri for directory in directories}:
         if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
-            say(f"left out: runs that are tracked in {uri}; pass tracking.uri={uri} to send them", stderr=True)
+            say(
+                f"left out: runs that are tracked in {uri}; pass tracking.uri={uri} to send them",
+                stderr=True,
+            )
     n_failed = 0
     for uri in uris:
         for directory, problem in mirror_missing(directories, Store(uri, request.output_path)):
             say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
             n_failed += problem is not None
     if n_failed:
-        raise StoreError(f"files and store differ for {plural(n_failed, 'run')}; the lines above say why")
+        raise StoreError(
+            f"files and store differ for {plural(n_failed, 'run')}; the lines above say why"
+        )
 
 
-def _print_tables(out: Console, states: list[RunState], searches: dict[str, StoredSearch | ParkingError]) -> None:
+def _print_tables(
+    out: Console, states: list[RunState], searches: dict[str, StoredSearch | ParkingError]
+) -> None:
     out.print(cell_table(states))
     for line in state_lines(states, "running", "stopped", "failed", "damaged"):
         out.print(line)
@@ -145,6 +162,10 @@ def _describe_search(name: str, search: StoredSearch | ParkingError) -> dict[str
     """Return a search and its trials for JSON."""
     if isinstance(search, ParkingError):
         return {"experiment": name, "error": str(search)}
-    plain: dict[str, Any] = {"experiment": name, "n_trials": search.n_trials, "objective": OBJECTIVE}
+    plain: dict[str, Any] = {
+        "experiment": name,
+        "n_trials": search.n_trials,
+        "objective": OBJECTIVE,
+    }
     plain |= {str(state): number for state, number in count_states(search.trials).items()}
     return plain | {"trials": [asdict(trial) for trial in search.trials]}

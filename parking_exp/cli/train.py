@@ -28,7 +28,9 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
     for warning in dict.fromkeys(update_ratio_warning(run.config) for run in planned):
         if warning is not None:
             say(f"warning: {warning}", stderr=True)
-    names_launcher = any(override.lstrip("+~").startswith("hydra/launcher") for override in overrides)
+    names_launcher = any(
+        override.lstrip("+~").startswith("hydra/launcher") for override in overrides
+    )
     # These need a supervisor, so that even a single run becomes a sweep.
     is_elsewhere = names_launcher or runs[0].launcher != "local"
     supervised = is_elsewhere or options.dry_run or options.retry or planned[0].config.timeout_s

@@ -16,7 +16,11 @@ CLASSES = {
     "parking_exp.algorithms": ["DDPG", "SAC", "TD3"],
     "parking_exp.algorithms.action_noise": ["EpsilonRandomActionNoise"],
     "parking_exp.algorithms.crossq": ["CrossQ"],
-    "parking_exp.tasks.parking.features": ["EgoFrameExtractor", "FineEgoFrameExtractor", "MirroredEgoFrameExtractor"],
+    "parking_exp.tasks.parking.features": [
+        "EgoFrameExtractor",
+        "FineEgoFrameExtractor",
+        "MirroredEgoFrameExtractor",
+    ],
     "parking_exp.buffers": ["HerBuffer"],
     "sb3_contrib": ["CrossQ", "TQC"],
     "stable_baselines3": ["DDPG", "HerReplayBuffer", "SAC", "TD3"],
@@ -26,11 +30,46 @@ CLASSES = {
     "stable_baselines3.common.utils": ["ConstantSchedule", "LinearSchedule"],
     "stable_baselines3.her": ["HerReplayBuffer"],
     "torch.nn": [
-        *("CELU", "ELU", "GELU", "Hardsigmoid", "Hardswish", "Hardtanh", "Identity", "LeakyReLU", "LogSigmoid", "Mish"),
-        *("PReLU", "RReLU", "ReLU", "ReLU6", "SELU", "SiLU", "Sigmoid", "Softplus", "Softsign", "Tanh", "Tanhshrink"),
+        *(
+            "CELU",
+            "ELU",
+            "GELU",
+            "Hardsigmoid",
+            "Hardswish",
+            "Hardtanh",
+            "Identity",
+            "LeakyReLU",
+            "LogSigmoid",
+            "Mish",
+        ),
+        *(
+            "PReLU",
+            "RReLU",
+            "ReLU",
+            "ReLU6",
+            "SELU",
+            "SiLU",
+            "Sigmoid",
+            "Softplus",
+            "Softsign",
+            "Tanh",
+            "Tanhshrink",
+        ),
     ],
     "torch.optim": [
-        *("ASGD", "Adadelta", "Adafactor", "Adagrad", "Adam", "AdamW", "Adamax", "Muon", "NAdam", "RAdam", "RMSprop"),
+        *(
+            "ASGD",
+            "Adadelta",
+            "Adafactor",
+            "Adagrad",
+            "Adam",
+            "AdamW",
+            "Adamax",
+            "Muon",
+            "NAdam",
+            "RAdam",
+            "RMSprop",
+        ),
         *("Rprop", "SGD"),
     ],
 }
@@ -49,7 +88,8 @@ def check_trust(config: RunConfig, source: Path, option: str = "trust=true") -> 
     """
     if (unlisted := unlisted_class(config)) is not None:
         raise UntrustedError(
-            f"{unlisted} in {source} is not on the allow-list, and the run was not trained here; {option} allows it, "
+            f"{unlisted} in {source} is not on the allow-list, and the run was not trained here; "
+            f"{option} allows it, "
             "if you trust its author"
         )
 
@@ -64,7 +104,9 @@ def unlisted_class(config: RunConfig) -> str | None:
 
 
 def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield what nested containers would import, with its key: each `_target_` and each class argument."""
+    """Yield what nested containers would import, with its key: each `_target_` and each class
+    argument.
+    """
     is_sequence = isinstance(node, list | tuple | set)
     children = node.items() if isinstance(node, Mapping) else enumerate(node) if is_sequence else ()
     for name, value in children:

@@ -1,4 +1,6 @@
-"""Ranges and choices of well-known arguments of third-party classes, which their signatures do not state."""
+"""Ranges and choices of well-known arguments of third-party classes, which their signatures do not
+state.
+"""
 
 import math
 from typing import Annotated, Any, Literal

@@ -1,7 +1,9 @@
-"""Label cells by the differences between their resolved configs, in plans, status and reports alike.
+"""Label cells by the differences between their resolved configs, in plans, status and reports
+alike.
 
-A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are not separate factors. Keys
-that always change together count once. A `label` in the configs takes the place of all keys that it determines.
+A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are not
+separate factors. Keys that always change together count once. A `label` in the configs takes the
+place of all keys that it determines.
 """
 
 import json
@@ -49,11 +51,17 @@ def setting_text(value: Setting) -> str:
     A text that would be read as anything else is in double quotes.
     """
     text = str(value)
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) and parse_value(text) != value else text
+    return (
+        json.dumps(value, ensure_ascii=False)
+        if isinstance(value, str) and parse_value(text) != value
+        else text
+    )
 
 
 def parse_value(text: str | None) -> Setting:
-    """Return the setting that a text stands for: None, a bool, a number or a text; lists and mappings are text."""
+    """Return the setting that a text stands for: None, a bool, a number or a text; lists and
+    mappings are text.
+    """
     if text in (None, "None", "True", "False"):
         return {"True": True, "False": False}.get(text or "")
     if text.startswith('"'):
@@ -81,11 +89,15 @@ def differing_keys(configs: Sequence[Config]) -> list[str]:
 def find_factors(
     configs: Sequence[Config], experiments: Sequence[str]
 ) -> tuple[list[Factor], list[dict[str, Setting]]]:
-    """Return the factors of cells, given the config and the experiment of each, and the value of each factor by cell.
+    """Return the factors of cells, given the config and the experiment of each, and the value of
+    each factor by cell.
 
     The value is None if a cell's config has no such key.
     """
-    given: dict[str, list[Setting]] = {EXPERIMENT: [*experiments], LABEL: [config.get(LABEL) for config in configs]}
+    given: dict[str, list[Setting]] = {
+        EXPERIMENT: [*experiments],
+        LABEL: [config.get(LABEL) for config in configs],
+    }
     columns = {key: values for key, values in given.items() if len(set(values)) > 1}
     varying = differing_keys(configs)
     for group in GROUPS:
@@ -96,8 +108,8 @@ def find_factors(
             varying.remove(f"{group}.name")
     options = list(columns.values())
     n_distinct = len({tuple(hashable(config.get(key)) for key in varying) for config in configs})
-    # Evaluation keys come last. Among keys that change together, a top-level key represents keys of groups: `n_envs`
-    # the warm-up that it requires.
+    # Evaluation keys come last. Among keys that change together, a top-level key represents keys of
+    # groups: `n_envs` the warm-up that it requires.
     for key in sorted(varying, key=lambda key: (key.startswith("evaluation."), "." in key)):
         values = [config.get(key) for config in configs]
         # In a search all keys change together, since the values of each are drawn from a range.
@@ -106,7 +118,9 @@ def find_factors(
         if not any(_follows(values, column) for column in (*options, *same)):
             columns[key] = _with_null(key, values, configs)
     factors = [_factor(key, values, columns) for key, values in columns.items()]
-    return factors, [{key: values[cell] for key, values in columns.items()} for cell in range(len(configs))]
+    return factors, [
+        {key: values[cell] for key, values in columns.items()} for cell in range(len(configs))
+    ]
 
 
 def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple[str, str], str]:
@@ -114,14 +128,24 @@ def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple
     labels: dict[tuple[str, str], str] = {}
     for experiment in dict.fromkeys(experiment for experiment, _ in configs):
         cells = [key for key in configs if key[0] == experiment]
-        labels |= zip(cells, label_cells([configs[key] for key in cells], [cell for _, cell in cells]), strict=True)
+        labels |= zip(
+            cells,
+            label_cells([configs[key] for key in cells], [cell for _, cell in cells]),
+            strict=True,
+        )
     return labels
 
 
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
-    """Return the labels of an experiment's cells; a single one without a label has its algorithm and buffer."""
+    """Return the labels of an experiment's cells; a single one without a label has its algorithm
+    and buffer.
+    """
     if len(configs) == 1:
-        options = [str(configs[0][f"{group}.name"]) for group in GROUPS[1:] if f"{group}.name" in configs[0]]
+        options = [
+            str(configs[0][f"{group}.name"])
+            for group in GROUPS[1:]
+            if f"{group}.name" in configs[0]
+        ]
         return [str(configs[0].get(LABEL) or ", ".join(options) or names[0])]
     return labels_from_factors(*find_factors(configs, [""] * len(configs)), names)
 
@@ -129,7 +153,9 @@ def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
 def labels_from_factors(
     factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]], names: Sequence[str]
 ) -> list[str]:
-    """Return labels such as `her_final, n_sampled_goal=8`; equal ones get the key at the end of the cell's name."""
+    """Return labels such as `her_final, n_sampled_goal=8`; equal ones get the key at the end of the
+    cell's name.
+    """
     labels = [label_factors(factors, cell) for cell in settings]
     parts = [name.rpartition("-") for name in names]
     return [
@@ -139,11 +165,16 @@ def labels_from_factors(
 
 
 def label_factors(factors: Sequence[Factor], cell: Mapping[str, Setting]) -> str:
-    """Return the values of a cell's factors, e.g. `her_final, n_sampled_goal=8`; groups have no prefix."""
+    """Return the values of a cell's factors, e.g. `her_final, n_sampled_goal=8`; groups have no
+    prefix.
+    """
     prefixes = {
-        factor.key: "" if factor.key in (*GROUPS, EXPERIMENT, LABEL) else f"{factor.name}=" for factor in factors
+        factor.key: "" if factor.key in (*GROUPS, EXPERIMENT, LABEL) else f"{factor.name}="
+        for factor in factors
     }
-    return ", ".join(prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None)
+    return ", ".join(
+        prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None
+    )
 
 
 def setting(value: Any) -> str:
@@ -158,13 +189,19 @@ def hashable(value: Setting) -> Hashable:
 
 def _factor(key: str, values: Sequence[Setting], keys: Collection[str]) -> Factor:
     """Return the factor of a key, named by the shortest ending of it that is unique among keys."""
-    levels: list[Any] = list({hashable(value): value for value in values if value is not None}.values())
-    numeric = bool(levels) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in levels)
+    levels: list[Any] = list(
+        {hashable(value): value for value in values if value is not None}.values()
+    )
+    numeric = bool(levels) and all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in levels
+    )
     if numeric:
         levels.sort()
     parts = key.split(".")
     endings = (".".join(parts[start:]) for start in reversed(range(len(parts))))
-    name = next((e for e in endings if sum(f".{other}".endswith(f".{e}") for other in keys) == 1), key)
+    name = next(
+        (e for e in endings if sum(f".{other}".endswith(f".{e}") for other in keys) == 1), key
+    )
     return Factor(key, name, levels, numeric)
 
 
@@ -175,7 +212,12 @@ def _follows(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
 
 
 def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
-    """Return the values, with "null" where the group's option has the key, judged by other cells with this option."""
+    """Return the values, with "null" where the group's option has the key, judged by other cells
+    with this option.
+    """
     options = [config.get(f"{key.partition('.')[0]}.name") for config in configs]
     having = [option for option, value in zip(options, values, strict=True) if value is not None]
-    return ["null" if v is None and option in having else v for option, v in zip(options, values, strict=True)]
+    return [
+        "null" if v is None and option in having else v
+        for option, v in zip(options, values, strict=True)
+    ]

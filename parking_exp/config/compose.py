@@ -17,7 +17,12 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import OverrideType
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, KeyValidationError, OmegaConfBaseException
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    KeyValidationError,
+    OmegaConfBaseException,
+)
 
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.constructor_arguments import argument_hint
@@ -40,7 +45,9 @@ VERSION_BASE = "1.3"
 
 @dataclass(frozen=True)
 class ComposedRun:
-    """One run: the config of its cell as Hydra composed it, its seed, the options of groups, and the launcher."""
+    """One run: the config of its cell as Hydra composed it, its seed, the options of groups, and
+    the launcher.
+    """
 
     cell: DictConfig  # shared by all runs of the cell
     seed: int | None = None  # None: the config's own
@@ -51,13 +58,21 @@ class ComposedRun:
     @property
     def config(self) -> DictConfig:
         """The config of the run."""
-        return self.cell if self.seed is None else cast(DictConfig, OmegaConf.merge(self.cell, {"seed": self.seed}))
+        return (
+            self.cell
+            if self.seed is None
+            else cast(DictConfig, OmegaConf.merge(self.cell, {"seed": self.seed}))
+        )
 
     def with_values(self, values: Mapping[str, Any]) -> "ComposedRun":
-        """Return a copy with other values of keys, in 3 ms, where Hydra takes 0.1 to 0.3 s; `+KEY` adds a key."""
+        """Return a copy with other values of keys, in 3 ms, where Hydra takes 0.1 to 0.3 s; `+KEY`
+        adds a key.
+        """
         cell = copy.deepcopy(self.cell)
         for key, value in values.items():
-            OmegaConf.update(cell, key.lstrip("+"), value, merge=True, force_add=key.startswith("+"))
+            OmegaConf.update(
+                cell, key.lstrip("+"), value, merge=True, force_add=key.startswith("+")
+            )
         return replace(self, cell=cell)
 
 
@@ -69,22 +84,32 @@ def compose(*overrides: str, config_dir: str | Path | None = None) -> RunConfig:
         config_dir: a directory of your own options, as `--config-dir`.
 
     Raises:
-        ConfigError: an override is wrong, the overrides define several runs, or there is no such directory.
+        ConfigError: an override is wrong, the overrides define several runs, or there is no such
+            directory.
     """
     if config_dir is not None and not Path(config_dir).is_dir():
         raise ConfigError(f"config_dir={config_dir} is not a directory")
-    runs = compose_configs("config", list(overrides), None if config_dir is None else str(config_dir))
+    runs = compose_configs(
+        "config", list(overrides), None if config_dir is None else str(config_dir)
+    )
     if len(runs) > 1:
-        raise ConfigError(f"these overrides define {len(runs)} runs, but compose() returns one; give one value each")
+        raise ConfigError(
+            f"these overrides define {len(runs)} runs, but compose() returns one; give one value "
+            "each"
+        )
     return validate(runs[0])
 
 
-def compose_configs(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[DictConfig]:
+def compose_configs(
+    config_name: str, overrides: list[str], extra_config_dir: str | None = None
+) -> list[DictConfig]:
     """Compose the config of every run of a command line; see `compose_runs`."""
     return [run.config for run in compose_runs(config_name, overrides, extra_config_dir)]
 
 
-def compose_runs(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[ComposedRun]:
+def compose_runs(
+    config_name: str, overrides: list[str], extra_config_dir: str | None = None
+) -> list[ComposedRun]:
     """Compose every run of a command line: one, or each point of a sweep.
 
     Args:
@@ -103,7 +128,11 @@ def compose_runs(config_name: str, overrides: list[str], extra_config_dir: str |
         experiments = axes.pop("experiment", None)
         if experiments is None:
             return _runs(compose_point, axes)
-        return [run for name in experiments for run in _runs(compose_point, {"experiment": [name], **axes})]
+        return [
+            run
+            for name in experiments
+            for run in _runs(compose_point, {"experiment": [name], **axes})
+        ]
 
 
 def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], ComposedRun]:
@@ -117,31 +146,48 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
         except ValueError as error:  # a group is set to a number or to null
             raise ConfigError(f"{' '.join([*hydra_lines, *lines])}: {error}") from error
         choices = {str(group): option for group, option in config.hydra.runtime.choices.items()}
-        options = {group: option for group, option in choices.items() if not group.startswith("hydra")}
-        if hydra_lines or any("/" in line for line in lines):  # only files of the user's own set keys of Hydra
+        options = {
+            group: option for group, option in choices.items() if not group.startswith("hydra")
+        }
+        if hydra_lines or any(
+            "/" in line for line in lines
+        ):  # only files of the user's own set keys of Hydra
             plain = hydra.compose(config_name, return_hydra_config=True)
             check_hydra_settings(config_name, config.hydra, plain.hydra)
         settings = cast(dict[str, Any], OmegaConf.to_container(config.hydra.launcher, resolve=True))
         with open_dict(config):
             del config["hydra"]
-        return ComposedRun(config, options=options, launcher=choices["hydra/launcher"], launcher_settings=settings)
+        return ComposedRun(
+            config, options=options, launcher=choices["hydra/launcher"], launcher_settings=settings
+        )
 
     def compose_point(lines: Point) -> ComposedRun:
         options = [line for line in lines if line.partition("=")[0] in groups and "={" not in line]
         changes = parse_overrides(line for line in lines if line not in options)
-        if any(change.type is not OverrideType.CHANGE or change.package is not None for change in changes):
+        if any(
+            change.type is not OverrideType.CHANGE or change.package is not None
+            for change in changes
+        ):
             return compose_with_hydra(*lines).with_values({})
-        return compose_with_hydra(*options).with_values({change.key_or_group: change.value() for change in changes})
+        return compose_with_hydra(*options).with_values(
+            {change.key_or_group: change.value() for change in changes}
+        )
 
     return compose_point
 
 
-def _runs(compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[str]]) -> list[ComposedRun]:
+def _runs(
+    compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[str]]
+) -> list[ComposedRun]:
     """Compose every cell of an experiment with its first seed, then with its second, and so on."""
-    base = compose_point(tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)).cell
+    base = compose_point(
+        tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)
+    ).cell
     if "seeds" in axes and "seeds" not in base:
         raise ConfigError("seeds: there is no such key; leave it out, this command takes no seeds")
-    blocks = check_blocks(_container(base.cells)) if "seeds" in base else []  # a report's cells are labels
+    blocks = (
+        check_blocks(_container(base.cells)) if "seeds" in base else []
+    )  # a report's cells are labels
     seed_values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
     overriding = seed_values[0] if len(seed_values) == 1 else seed_values
     seeds = seeds_of(overriding if seed_values else _container(base.get("seeds")))
@@ -149,7 +195,9 @@ def _runs(compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[st
     if "seed" in axes or is_swept:
         seeds = None
     if len(axes.get("seed", [])) > 1 and not is_swept and all(map(str.isdecimal, axes["seed"])):
-        seeds = seeds_of([int(seed) for seed in axes.pop("seed")])  # a cell is composed once for all its seeds
+        seeds = seeds_of(
+            [int(seed) for seed in axes.pop("seed")]
+        )  # a cell is composed once for all its seeds
 
     def has(key: str, point: Point) -> bool:
         section, _, name = key.rpartition(".")
@@ -159,8 +207,12 @@ def _runs(compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[st
     all_seeds: list[int] | list[None] = seeds or [None]
     all_points = expand_points(blocks, axes, has, axes.get("experiment", [""])[0])
     if len(all_points) * len(all_seeds) > MAX_RUNS:
-        raise ConfigError(f"{len(all_points)} cells x {len(all_seeds)} seeds: a sweep has at most {MAX_RUNS} runs")
-    cells = {OmegaConf.to_yaml(run.cell): run for run in map(compose_point, all_points)}  # blocks may overlap
+        raise ConfigError(
+            f"{len(all_points)} cells x {len(all_seeds)} seeds: a sweep has at most {MAX_RUNS} runs"
+        )
+    cells = {
+        OmegaConf.to_yaml(run.cell): run for run in map(compose_point, all_points)
+    }  # blocks may overlap
     return [replace(run, seed=seed) for seed in all_seeds for run in cells.values()]
 
 
@@ -178,7 +230,9 @@ OmegaConf.register_new_resolver("options", options_of, replace=True)
 
 
 def user_options(extra_config_dir: str | None) -> list[str]:
-    """Return the override that adds a directory of the user's own options to Hydra's search path, after ours."""
+    """Return the override that adds a directory of the user's own options to Hydra's search path,
+    after ours.
+    """
     if extra_config_dir is None:
         return []
     return [f"hydra.searchpath=[{in_quotes(str(Path(extra_config_dir).absolute()))}]"]
@@ -186,12 +240,20 @@ def user_options(extra_config_dir: str | None) -> list[str]:
 
 @contextmanager
 def hydra_ready() -> Iterator[None]:
-    """Initialize Hydra with our tree; errors of Hydra and OmegaConf become a ConfigError of one sentence."""
-    outer = GlobalHydra.instance().hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
+    """Initialize Hydra with our tree; errors of Hydra and OmegaConf become a ConfigError of one
+    sentence.
+    """
+    outer = (
+        GlobalHydra.instance().hydra
+    )  # we may be called within a Hydra app, such as a benchmark or a user's own
     GlobalHydra.instance().clear()
     try:
-        with initialize_config_dir(str(config_dir()), "parking_exp", VERSION_BASE), warnings.catch_warnings():
-            # Our preset `ray` has the name of the plugin's own config; validating it against that is harmless.
+        with (
+            initialize_config_dir(str(config_dir()), "parking_exp", VERSION_BASE),
+            warnings.catch_warnings(),
+        ):
+            # Our preset `ray` has the name of the plugin's own config; validating it against that
+            # is harmless.
             warnings.filterwarnings("ignore", message=r"(?s).*validated against ConfigStore schema")
             yield
     except (HydraException, OmegaConfBaseException, yaml.YAMLError) as error:
@@ -203,9 +265,14 @@ def hydra_ready() -> Iterator[None]:
 
 
 def _sentence(error: Exception) -> str:
-    """Return what Hydra, OmegaConf or the YAML parser say in one line, with the closest name for an unknown one."""
+    """Return what Hydra, OmegaConf or the YAML parser say in one line, with the closest name for an
+    unknown one.
+    """
     if isinstance(error, OverrideParseException):
-        return f"{error.override}: can't be parsed; write KEY=VALUE, KEY=[1,2] for a list, \"KEY='a (b)'\" for text"
+        return (
+            f"{error.override}: can't be parsed; write KEY=VALUE, KEY=[1,2] for a list, \"KEY='a "
+            "(b)'\" for text"
+        )
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return f"{group}={option}: there is no such option{suggestion(option, error.options or [])}"

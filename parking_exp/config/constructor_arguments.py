@@ -1,7 +1,8 @@
 """Check the arguments of third-party classes against their signatures, nested ones included.
 
-Nested arguments are nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and features extractor.
-This imports the classes, and torch with them, so everything that can be checked without them is checked first.
+Nested arguments are nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and
+features extractor. This imports the classes, and torch with them, so everything that can be checked
+without them is checked first.
 """
 
 import inspect
@@ -19,7 +20,8 @@ from parking_exp.errors import ConfigError, did_you_mean, one_line, suggestion
 # Base classes of the sections' classes.
 BASES = {
     "algorithm": "stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm",
-    "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",  # observations of goal tasks are dictionaries
+    # observations of goal tasks are dictionaries
+    "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",
 }
 # Arguments that are classes, as dotted paths or `_target_` nodes, and their base classes.
 CLASS_ARGUMENTS = {
@@ -32,7 +34,10 @@ DEFAULT_CLASSES = {
     "features_extractor": "stable_baselines3.common.torch_layers.CombinedExtractor",
 }
 POLICY = "MultiInputPolicy"
-MIRRORED_POLICIES = ("stable_baselines3.sac.MultiInputPolicy", "stable_baselines3.td3.MultiInputPolicy")
+MIRRORED_POLICIES = (
+    "stable_baselines3.sac.MultiInputPolicy",
+    "stable_baselines3.td3.MultiInputPolicy",
+)
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps"}
@@ -41,7 +46,16 @@ SECTION_KEYS = {"algorithm": AlgorithmConfig.model_fields, "buffer": BufferConfi
 # By section, arguments that the run sets itself.
 SET_BY_RUN = {
     "algorithm": {
-        *("policy", "env", "seed", "device", "buffer_size", "replay_buffer_class", "replay_buffer_kwargs", "n_steps"),
+        *(
+            "policy",
+            "env",
+            "seed",
+            "device",
+            "buffer_size",
+            "replay_buffer_class",
+            "replay_buffer_kwargs",
+            "n_steps",
+        ),
         *("optimize_memory_usage", "tensorboard_log", "verbose", "_init_setup_model"),
     },
     "buffer": {
@@ -95,7 +109,9 @@ def takes(call: Any, name: str) -> bool:
 
 
 def argument_hint(key: str, node: Mapping[str, Any]) -> str:
-    """Say what to type instead of an unknown key of a node with a `_target_`, whose class may take more arguments."""
+    """Say what to type instead of an unknown key of a node with a `_target_`, whose class may take
+    more arguments.
+    """
     section, _, name = key.rpartition(".")
     try:
         parameters, is_open = _parameters(import_object(node["_target_"]))
@@ -104,7 +120,9 @@ def argument_hint(key: str, node: Mapping[str, Any]) -> str:
     arguments = set(parameters) - SET_BY_RUN.get(section, set()) - set(node)
     if hint := did_you_mean(name, node, cutoff=0.8):
         return hint
-    similar = [argument for argument in sorted(arguments) if did_you_mean(name, [argument], cutoff=0.8)]
+    similar = [
+        argument for argument in sorted(arguments) if did_you_mean(name, [argument], cutoff=0.8)
+    ]
     if similar and name not in arguments:
         return f"; did you mean '++{section}.{similar[0]}'?"
     if name in arguments or is_open:
@@ -116,24 +134,40 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
     """Check `policy_kwargs` against the policy's own constructor."""
     key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
     features, policy = algorithm.features, policy_class(algorithm_class)
-    if "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # a mapping sets actor and critic apart
+    if "net_arch" in given and not isinstance(
+        given["net_arch"], Mapping
+    ):  # a mapping sets actor and critic apart
         yield f"{key}.net_arch overrides algorithm.net_arch; set algorithm.net_arch instead"
-    elif features != "raw" and (extractor := [name for name in given if name.startswith("features_extractor")]):
+    elif features != "raw" and (
+        extractor := [name for name in given if name.startswith("features_extractor")]
+    ):
         yield f"{key}.{extractor[0]} overrides algorithm.features; set algorithm.features=raw"
     elif features != "raw" and policy is not None and not takes(policy, "features_extractor_class"):
         yield f"algorithm.features={features}: {algorithm.class_name}'s policy ignores it; use raw"
     elif features == "ego_mirrored" and policy not in map(import_object, MIRRORED_POLICIES):
-        yield f"algorithm.features={features}: {algorithm.class_name}'s policy can't mirror its steering; use ego_fine"
+        yield (
+            f"algorithm.features={features}: {algorithm.class_name}'s policy can't mirror its "
+            "steering; use ego_fine"
+        )
     elif policy is not None:
         problems = list(_check_call(key, policy, given))
         yield from problems
         for name, default in DEFAULT_CLASSES.items() if not problems else ():
-            arguments, target = given.get(f"{name}_kwargs") or {}, class_path(given.get(f"{name}_class", default))
-            yield from _check_target(f"{key}.{name}_kwargs", {**arguments, "_target_": target}, partial=True)
+            arguments, target = (
+                given.get(f"{name}_kwargs") or {},
+                class_path(given.get(f"{name}_class", default)),
+            )
+            yield from _check_target(
+                f"{key}.{name}_kwargs", {**arguments, "_target_": target}, partial=True
+            )
 
 
-def _check_target(key: str, value: Any, base: str | None = None, *, partial: bool = False) -> Iterator[str]:
-    """Check a dotted path, or a node with a `_target_` and its arguments; the class must have the base."""
+def _check_target(
+    key: str, value: Any, base: str | None = None, *, partial: bool = False
+) -> Iterator[str]:
+    """Check a dotted path, or a node with a `_target_` and its arguments; the class must have the
+    base.
+    """
     target = class_path(value)
     assignment = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
@@ -145,55 +179,86 @@ def _check_target(key: str, value: Any, base: str | None = None, *, partial: boo
         yield f"{assignment} is not a subclass of {base}"
     elif isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
-        yield from _check_call(key, call, given, partial=partial or bool(value.get("_partial_")) or "_args_" in value)
+        yield from _check_call(
+            key, call, given, partial=partial or bool(value.get("_partial_")) or "_args_" in value
+        )
 
 
-def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool = False) -> Iterator[str]:
+def _check_call(
+    key: str, call: Any, given: Mapping[str, Any], *, partial: bool = False
+) -> Iterator[str]:
     """Check the arguments of a call; a `partial` call gets more later."""
     parameters, is_open = _parameters(call)
-    set_by_run, limits = SET_BY_RUN.get(key, set()), CLASS_LIMITS.get(getattr(call, "__name__", ""), LIMITS)
+    set_by_run, limits = (
+        SET_BY_RUN.get(key, set()),
+        CLASS_LIMITS.get(getattr(call, "__name__", ""), LIMITS),
+    )
     settable = {name: parameter for name, parameter in parameters.items() if name not in set_by_run}
     for name, value in given.items():
         path = f"{key}.{name}"
         if name in set_by_run:
             yield f"{path} is set by the run itself"
         elif name not in settable and not is_open:
-            yield f"{path}: there is no such key{suggestion(name, [*settable, *SECTION_KEYS.get(key, ())])}"
-        elif name in CLASS_ARGUMENTS and value is not None and not isinstance(class_path(value), str):
+            yield (
+                f"{path}: there is no such "
+                f"key{suggestion(name, [*settable, *SECTION_KEYS.get(key, ())])}"
+            )
+        elif (
+            name in CLASS_ARGUMENTS and value is not None and not isinstance(class_path(value), str)
+        ):
             yield f"{path}={value!r} is not a class; give a dotted path or a node with a _target_"
-        elif isinstance(class_path(value), str) and (name in CLASS_ARGUMENTS or isinstance(value, Mapping)):
-            yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS)
+        elif isinstance(class_path(value), str) and (
+            name in CLASS_ARGUMENTS or isinstance(value, Mapping)
+        ):
+            yield from _check_target(
+                path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS
+            )
         elif name in settable:
             yield from _check_value(path, value, settable[name], limits)
     if not partial:
-        required = (name for name, parameter in settable.items() if parameter.default is inspect.Parameter.empty)
+        required = (
+            name
+            for name, parameter in settable.items()
+            if parameter.default is inspect.Parameter.empty
+        )
         yield from (f"{key}.{name} is missing" for name in required if name not in given)
 
 
-def _check_value(key: str, value: Any, parameter: inspect.Parameter, limits: Mapping[str, Any]) -> Iterator[str]:
+def _check_value(
+    key: str, value: Any, parameter: inspect.Parameter, limits: Mapping[str, Any]
+) -> Iterator[str]:
     """Check a value against its range, or else its annotation where that is a plain type."""
     types = set(get_args(parameter.annotation)) or {parameter.annotation}
-    limit = limits.get(parameter.name, parameter.annotation if types <= {int, float, bool, str, NoneType} else Any)
+    limit = limits.get(
+        parameter.name, parameter.annotation if types <= {int, float, bool, str, NoneType} else Any
+    )
     if value is None and (NoneType in types or parameter.name in NULLABLE):
         return
     try:
-        TypeAdapter(limit, config=ConfigDict(strict=True, allow_inf_nan=False)).validate_python(value)
+        TypeAdapter(limit, config=ConfigDict(strict=True, allow_inf_nan=False)).validate_python(
+            value
+        )
     except ValidationError as error:
-        reasons = [problem["msg"].removeprefix("Value error, ").lower() for problem in error.errors()]
+        reasons = [
+            problem["msg"].removeprefix("Value error, ").lower() for problem in error.errors()
+        ]
         yield f"{key}={value!r}: {' or '.join(reasons)}"
 
 
 def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
     """Return the named parameters of a class or function, and whether it takes any others.
 
-    A class that takes others probably passes them on, so that those of its base classes are named as well.
+    A class that takes others probably passes them on, so that those of its base classes are named
+    as well.
     """
     parameters, is_open = _signature(call)
     is_passed_on = is_open and isinstance(call, type)
     for base in call.__mro__[1:] if is_passed_on else ():
         inherited, passes_on = _signature(base)
         for name, parameter in inherited.items():
-            parameters.setdefault(name, parameter.replace(default=None))  # which the class itself may give
+            parameters.setdefault(
+                name, parameter.replace(default=None)
+            )  # which the class itself may give
         if not passes_on:
             break
     return parameters, is_open
@@ -204,5 +269,7 @@ def _signature(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
         parameters = inspect.signature(call).parameters
     except (TypeError, ValueError):  # compiled, without a signature
         return {}, True
-    named = {name: p for name, p in parameters.items() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}
+    named = {
+        name: p for name, p in parameters.items() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)
+    }
     return named, any(p.kind is p.VAR_KEYWORD for p in parameters.values())

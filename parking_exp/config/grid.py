@@ -1,7 +1,7 @@
 """Expand the cells of an experiment from its axes.
 
-`cells` of a config is a list of blocks; a block maps keys or groups to values, and expands to their product. `seeds` is
-the number or the list of seeds of each cell.
+`cells` of a config is a list of blocks; a block maps keys or groups to values, and expands to their
+product. `seeds` is the number or the list of seeds of each cell.
 """
 
 import itertools
@@ -19,13 +19,17 @@ MAX_CELLS, MAX_SEEDS, MAX_RUNS = 10_000, 100_000, 100_000
 
 
 def expand_points(
-    blocks: Sequence[Block], axes: Mapping[str, list[str]], has: Callable[[str, Point], bool], experiment: str = ""
+    blocks: Sequence[Block],
+    axes: Mapping[str, list[str]],
+    has: Callable[[str, Point], bool],
+    experiment: str = "",
 ) -> list[Point]:
     """Return the overrides of every cell.
 
-    Values on the command line select from the blocks that list them; blocks without any of them are dropped. A value
-    that no block lists replaces the values of each block that sweeps over its key; a label that none lists is an error.
-    Any other key becomes an axis of each block whose configs have it.
+    Values on the command line select from the blocks that list them; blocks without any of them are
+    dropped. A value that no block lists replaces the values of each block that sweeps over its key;
+    a label that none lists is an error. Any other key becomes an axis of each block whose configs
+    have it.
 
     Args:
         blocks: of the experiment file; none: a single cell.
@@ -37,9 +41,16 @@ def expand_points(
         ConfigError: there is no such label, no cell matches, or there are too many.
     """
     items = [item for block in blocks for item in block.items()]
-    listed = {key: {value for k, values in items if k == key for value in _values(values)} for key, _ in items}
+    listed = {
+        key: {value for k, values in items if k == key for value in _values(values)}
+        for key, _ in items
+    }
     swept = {key for key, values in items if isinstance(values, list)}
-    if blocks and (unknown := [label for label in axes.get("label", ()) if label not in listed.get("label", ())]):
+    if blocks and (
+        unknown := [
+            label for label in axes.get("label", ()) if label not in listed.get("label", ())
+        ]
+    ):
         hint = suggestion(unknown[0], listed.get("label", ())) or "; select cells by their keys"
         raise ConfigError(f"label={unknown[0]}: experiment={experiment} has no such label{hint}")
     cells: dict[Point, None] = {}
@@ -47,7 +58,11 @@ def expand_points(
         lines = []
         for key, value in block.items():
             values, replaceable = _values(value), isinstance(value, list) or key not in swept
-            kept = [v for v in axes.get(key, values) if v in values or (replaceable and v not in listed[key])]
+            kept = [
+                v
+                for v in axes.get(key, values)
+                if v in values or (replaceable and v not in listed[key])
+            ]
             lines.append([_override(key, v) for v in kept])
         if not all(lines):
             continue
@@ -66,24 +81,37 @@ def expand_points(
 
 def check_blocks(value: Any) -> list[Block]:
     """Return `cells` if it is a list of mappings."""
-    if not isinstance(value or [], list) or not all(isinstance(block, dict) and block for block in value or []):
+    if not isinstance(value or [], list) or not all(
+        isinstance(block, dict) and block for block in value or []
+    ):
         raise ConfigError(f"cells={value!r} is not a list of {{key: [values]}}")
     for block in value or []:
         labels = block.get("label")
         for label in labels if isinstance(labels, list) else [labels]:
             if not isinstance(label, str | None):  # how it was written is lost: 0.10 is 0.1
-                raise ConfigError(f"cells: the label {label!r} is no text; put it in quotes, label: '...'")
+                raise ConfigError(
+                    f"cells: the label {label!r} is no text; put it in quotes, label: '...'"
+                )
     return value or []
 
 
 def seeds_of(value: object) -> list[int] | None:
-    """Return the seeds that `seeds` defines: 0 to n - 1 for n, the seeds of a list, None for the run's own seed."""
+    """Return the seeds that `seeds` defines: 0 to n - 1 for n, the seeds of a list, None for the
+    run's own seed.
+    """
     if type(value) is int and 0 < value <= MAX_SEEDS:
         return list(range(value))
-    if isinstance(value, list) and value and all(type(seed) is int and 0 <= seed < 2**32 for seed in value):
+    if (
+        isinstance(value, list)
+        and value
+        and all(type(seed) is int and 0 <= seed < 2**32 for seed in value)
+    ):
         return list(dict.fromkeys(value))
     if value is not None:
-        raise ConfigError(f"seeds={value!r} is neither a number up to {MAX_SEEDS} nor a list of seeds below {2**32}")
+        raise ConfigError(
+            f"seeds={value!r} is neither a number up to {MAX_SEEDS} nor a list of seeds below "
+            f"{2**32}"
+        )
     return None
 
 

@@ -9,15 +9,29 @@ from omegaconf import DictConfig, OmegaConf
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.errors import ConfigError
 
-# Set by Hydra itself, or without effect on files and runs; `launcher` for the commands that launch runs.
-READ = ("help", "job.config_name", "job.override_dirname", "mode", "overrides", "runtime", "searchpath")
+# Set by Hydra itself, or without effect on files and runs; `launcher` for the commands that launch
+# runs.
+READ = (
+    "help",
+    "job.config_name",
+    "job.override_dirname",
+    "mode",
+    "overrides",
+    "runtime",
+    "searchpath",
+)
 LAUNCHING = ("config", "tune")
 INSTEAD = {
     "launcher": "this command launches no runs; leave it out",
-    "sweeper": "list the values on the command line, KEY=1,2, or as cells: [{KEY: [1, 2]}] in an experiment file",
+    "sweeper": (
+        "list the values on the command line, KEY=1,2, "
+        "or as cells: [{KEY: [1, 2]}] in an experiment file"
+    ),
     "job.env_set": "set environment variables in the shell, before the command",
     "job.chdir": "start the command in that directory, or set output_dir=DIR",
-    **dict.fromkeys(("run", "sweep", "output_subdir"), "set output_dir=DIR and experiment_name=NAME"),
+    **dict.fromkeys(
+        ("run", "sweep", "output_subdir"), "set output_dir=DIR and experiment_name=NAME"
+    ),
 }
 
 
@@ -33,7 +47,9 @@ def check_hydra_overrides(config_name: str, overrides: Iterable[str]) -> None:
 
 
 def check_hydra_settings(config_name: str, composed: DictConfig, plain: DictConfig) -> None:
-    """Refuse settings of composed files that are not read, given what this package's files set; raises as above."""
+    """Refuse settings of composed files that are not read, given what this package's files set;
+    raises as above.
+    """
     given = _settings(composed)
     ours = _settings(plain)
     for key in {**given, **ours}:

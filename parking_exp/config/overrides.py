@@ -16,11 +16,15 @@ from hydra.errors import HydraException
 from parking_exp.errors import ConfigError, first_line
 
 MAX_VALUES = 100_000  # of a range
-WORD = re.compile(r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+""")  # a quoted text, or what stands between commas
+WORD = re.compile(
+    r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+"""
+)  # a quoted text, or what stands between commas
 
 
 def config_dir() -> Path:
-    """Return the directory of the Hydra tree: inside the package in a wheel, at the repository's top otherwise."""
+    """Return the directory of the Hydra tree: inside the package in a wheel, at the repository's
+    top otherwise.
+    """
     package = Path(__file__).resolve().parents[1]
     inside = package / "conf"
     return inside if inside.is_dir() else package.parent / "conf"
@@ -28,7 +32,9 @@ def config_dir() -> Path:
 
 def in_quotes(value: str) -> str:
     """Quote a string for Hydra's grammar."""
-    return "'" + re.sub(r"(\\+)(?='|\Z)", r"\1\1", value).replace("'", "\\'") + "'"  # backslashes escape only quotes
+    return (
+        "'" + re.sub(r"(\\+)(?='|\Z)", r"\1\1", value).replace("'", "\\'") + "'"
+    )  # backslashes escape only quotes
 
 
 def without_quotes(value: str) -> str:
@@ -37,7 +43,9 @@ def without_quotes(value: str) -> str:
 
 
 def to_hydra_syntax(argument: str) -> str:
-    """Return an override in Hydra's grammar: a path in quotes, an experiment file as an option relative to `conf/`."""
+    """Return an override in Hydra's grammar: a path in quotes, an experiment file as an option
+    relative to `conf/`.
+    """
     key, equals, value = argument.partition("=")
     if key == "experiment" and value.endswith(".yaml"):
         path = Path(value).expanduser()
@@ -62,25 +70,35 @@ def parse_overrides(overrides: Iterable[str]) -> list[Override]:
     """Parse overrides, within `hydra_ready`."""
     lines = list(overrides)
     try:
-        parsed = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader()).parse_overrides(lines)
+        parsed = OverridesParser.create(
+            config_loader=GlobalHydra.instance().config_loader()
+        ).parse_overrides(lines)
     except ValueError as error:  # a number of thousands of digits, which Python does not read
-        keys = ", ".join(line.partition("=")[0] for line in lines if len(line) > sys.get_int_max_str_digits())
+        keys = ", ".join(
+            line.partition("=")[0] for line in lines if len(line) > sys.get_int_max_str_digits()
+        )
         raise ConfigError(f"{keys}: {first_line(error).partition(';')[0]}") from error
     for override in parsed:
         if not override.key_or_group:
-            raise ConfigError(f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE")
+            raise ConfigError(
+                f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE"
+            )
     return parsed
 
 
 def numbers_as_text(value: str) -> str:
-    """Quote the words of a value that Hydra's grammar would read as numbers or booleans: `0.10` stays `0.10`."""
+    """Quote the words of a value that Hydra's grammar would read as numbers or booleans: `0.10`
+    stays `0.10`.
+    """
 
     def quote(match: re.Match[str]) -> str:
         word = match[0].strip()
         if match[1] or not word:
             return match[0]
         with suppress(HydraException, ValueError):
-            if isinstance(OverridesParser.create().parse_override(f"label={word}").value(), int | float):
+            if isinstance(
+                OverridesParser.create().parse_override(f"label={word}").value(), int | float
+            ):
                 return in_quotes(word)
         return match[0]
 
@@ -88,7 +106,9 @@ def numbers_as_text(value: str) -> str:
 
 
 def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
-    """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the last."""
+    """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the
+    last.
+    """
     axes = {}
     for override in parse_overrides(map(_labels_as_text, overrides)):
         _refuse_long_range(override)
@@ -97,8 +117,13 @@ def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
             values = list(override.sweep_string_iterator())
         if not values:
             raise ConfigError(f"{override.input_line}: there are no values to sweep over")
-        if override.key_or_group == "label":  # to be found in the cells of an experiment, which have no escapes
-            values = [_label(label) for label in parse_overrides(f"label={numbers_as_text(value)}" for value in values)]
+        if (
+            override.key_or_group == "label"
+        ):  # to be found in the cells of an experiment, which have no escapes
+            values = [
+                _label(label)
+                for label in parse_overrides(f"label={numbers_as_text(value)}" for value in values)
+            ]
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")
@@ -127,4 +152,6 @@ def _refuse_long_range(override: Override) -> None:
         raise ConfigError(f"{override.input_line}: the step of a range can't be 0")
     n_values = (sweep.stop - sweep.start) // sweep.step
     if math.isnan(n_values) or n_values > MAX_VALUES:
-        raise ConfigError(f"{override.input_line}: a sweep has at most {MAX_VALUES} values of a key")
+        raise ConfigError(
+            f"{override.input_line}: a sweep has at most {MAX_VALUES} values of a key"
+        )

@@ -1,4 +1,6 @@
-"""Paths and URIs of output directories, runs and stores, stored relative so that an output directory can be moved."""
+"""Paths and URIs of output directories, runs and stores, stored relative so that an output
+directory can be moved.
+"""
 
 import os
 import re
@@ -12,8 +14,26 @@ SQLITE = "sqlite:///"
 DATABASES = ("postgresql", "mysql", "mssql")
 ARTIFACTS = "mlflow-artifacts"  # folder of an output directory
 WITHOUT_SECRETS = {
-    *("application_name", "charset", "client_encoding", "connect_timeout", "driver", "encrypt", "gssencmode", "host"),
-    *("passfile", "port", "read_default_file", "read_default_group", "service", "ssl_ca", "ssl_cert", "ssl_key"),
+    *(
+        "application_name",
+        "charset",
+        "client_encoding",
+        "connect_timeout",
+        "driver",
+        "encrypt",
+        "gssencmode",
+        "host",
+    ),
+    *(
+        "passfile",
+        "port",
+        "read_default_file",
+        "read_default_group",
+        "service",
+        "ssl_ca",
+        "ssl_cert",
+        "ssl_key",
+    ),
     *("sslcert", "sslkey", "sslmode", "sslrootcert", "target_session_attrs", "trusted_connection"),
     *("trustservercertificate", "unix_socket"),
 }
@@ -24,10 +44,14 @@ def refuse_password(uri: str) -> str:
     """Return a URI that is known to have no password or token in it.
 
     Raises:
-        ConfigError: it may have one, which would be stored with the run and shown in the list of processes.
+        ConfigError: it may have one, which would be stored with the run and shown in the list of
+            processes.
     """
     if secret := None if uri.startswith(SQLITE) else _find_secret(uri):
-        variables = "PGPASSWORD, MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or MLFLOW_TRACKING_TOKEN"
+        variables = (
+            "PGPASSWORD, MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or "
+            "MLFLOW_TRACKING_TOKEN"
+        )
         raise ConfigError(f"the URI contains {secret}; set it in the environment ({variables})")
     return uri
 
@@ -38,7 +62,11 @@ def _find_secret(uri: str) -> str | None:
     for parameter in filter(None, query.split("&")):
         name, equals, value = parameter.partition("=")
         if name.lower() not in WITHOUT_SECRETS or re.search("[;@]|%3B", value, re.IGNORECASE):
-            return f"the parameter {name}, which may be secret" if equals else "a parameter, which may be secret"
+            return (
+                f"the parameter {name}, which may be secret"
+                if equals
+                else "a parameter, which may be secret"
+            )
     if re.search("[;#]|%3B", address, re.IGNORECASE):
         return "a ; or #, after which may be a secret"
     if "@" not in address:
@@ -70,7 +98,10 @@ def refuse_question_mark(path: Path) -> Path:
         ConfigError: it has a question mark, at which such a URI ends.
     """
     if "?" in str(path):
-        raise ConfigError(f"{path} has a question mark, at which the URI of a sqlite store ends; choose another path")
+        raise ConfigError(
+            f"{path} has a question mark, at which the URI of a sqlite store ends; choose another "
+            "path"
+        )
     return path
 
 
@@ -80,7 +111,9 @@ def default_uri(output_dir: Path) -> str:
 
 
 def absolute(uri: str, base: Path | None = None) -> str:
-    """Return a URI with its sqlite path made absolute, relative to a base directory or the working directory."""
+    """Return a URI with its sqlite path made absolute, relative to a base directory or the working
+    directory.
+    """
     path = database(uri)
     return uri if path is None else f"{SQLITE}{directory_path((base or Path()) / path)}"
 
@@ -117,7 +150,9 @@ def is_same_store(uri: str, other_uri: str) -> bool:
 
 
 def resolved(path: Path) -> Path:
-    """Return a path with all symbolic links followed; unlike `Path.resolve`, it accepts links to themselves."""
+    """Return a path with all symbolic links followed; unlike `Path.resolve`, it accepts links to
+    themselves.
+    """
     return Path(os.path.realpath(path))
 
 
@@ -127,7 +162,8 @@ def lies_inside(path: Path, folder: Path) -> bool:
 
 
 def refuse_links(paths: Iterable[Path], folder: Path) -> None:
-    """Refuse symbolic links out of a folder: files elsewhere would be read, written or sent to a store.
+    """Refuse symbolic links out of a folder: files elsewhere would be read, written or sent to a
+    store.
 
     Links that lead nowhere, pipes and devices are refused as well: opening a pipe waits for ever.
 

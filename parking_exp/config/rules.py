@@ -27,7 +27,10 @@ def check_rules(run: RunConfig) -> Iterator[str]:
 def _check_buffer(run: RunConfig) -> Iterator[str]:
     her_options = [name for name in HER_OPTIONS if name in run.buffer.arguments]
     if her_options and run.buffer.arguments.get("goal_selection_strategy", "future") is None:
-        yield f"buffer.{her_options[0]} has no effect without virtual goals; leave it out, or use buffer=her_future"
+        yield (
+            f"buffer.{her_options[0]} has no effect without virtual goals; leave it out, or use "
+            "buffer=her_future"
+        )
     if (longest := run.env.for_training().episode_steps()) is not None:
         yield from check_lengths(run, longest)
     yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
@@ -39,13 +42,19 @@ def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
     is_her = run.buffer.class_name in HER_CLASSES or any(name in buffer for name in HER_OPTIONS)
     relabels = buffer.get("goal_selection_strategy", "future" if is_her else None) is not None
     if relabels and (not isinstance(starts, int) or starts < longest * run.n_envs):
-        key = "algorithm.learning_starts" if starts is None else f"algorithm.learning_starts={starts}"
+        key = (
+            "algorithm.learning_starts" if starts is None else f"algorithm.learning_starts={starts}"
+        )
         yield (
             f"{key}: HER samples finished episodes only; give at least "
-            f"{longest * run.n_envs}: {longest} steps of the longest training episode x {run.n_envs} envs"
+            f"{longest * run.n_envs}: {longest} steps of the longest training episode x "
+            f"{run.n_envs} envs"
         )
     elif isinstance(starts, int) and run.total_timesteps <= starts:
-        yield f"total_timesteps={run.total_timesteps} ends before the first update; give at least {starts + 1}"
+        yield (
+            f"total_timesteps={run.total_timesteps} ends before the first update; give at least "
+            f"{starts + 1}"
+        )
     if run.buffer.buffer_size // run.n_envs <= longest:
         yield (
             f"buffer.buffer_size={run.buffer.buffer_size} holds no whole episode of each env; "
@@ -79,13 +88,19 @@ def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
     (size,) = (task.prediction_env().action_space.shape or (1,)) if lists else (1,)
     for name, values in lists.items():
         if len(values) != size:
-            yield f"algorithm.action_noise.{name} has {len(values)} entries; an action has {size} dimensions"
+            yield (
+                f"algorithm.action_noise.{name} has {len(values)} entries; an action has {size} "
+                "dimensions"
+            )
 
 
 def _check_algorithm(run: RunConfig) -> Iterator[str]:
     algorithm, train_freq = run.algorithm, run.algorithm.arguments.get("train_freq")
     if algorithm.normalize and algorithm.features != "raw":
-        yield f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} does its own scaling"
+        yield (
+            f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} does its own "
+            "scaling"
+        )
     if isinstance(train_freq, list) and "episode" in train_freq and run.n_envs > 1:
         yield "algorithm.train_freq counts episodes, which works with one env only; set n_envs=1"
     if run.tracking.mlflow and run.experiment_name == "Default":
@@ -95,13 +110,16 @@ def _check_algorithm(run: RunConfig) -> Iterator[str]:
 def update_ratio_warning(run: RunConfig) -> str | None:
     """Return a sentence if the update-to-data ratio is far from what the number of envs suggests.
 
-    Of the cells of experiment=envs_and_updates, those with one update per env step up to 8 envs, and 8 updates per
-    step of all envs from there on, learn well for their cost.
+    Of the cells of experiment=envs_and_updates, those with one update per env step up to 8 envs,
+    and 8 updates per step of all envs from there on, learn well for their cost.
     """
     suggested = min(1, 8 / run.n_envs)
     if suggested / FAR <= run.updates_per_step <= suggested * FAR:
         return None
-    warning = f"updates_per_step={run.updates_per_step} is far from {suggested}, which n_envs={run.n_envs} suggests"
+    warning = (
+        f"updates_per_step={run.updates_per_step} is far from {suggested}, which "
+        f"n_envs={run.n_envs} suggests"
+    )
     if run.n_envs <= MANY_FOR_FEW and run.updates_per_step < suggested:
         warning += "; envs=few sets 8 envs and the keys that depend on their number"
     return warning
@@ -118,19 +136,31 @@ def check_update_ratio(run: RunConfig) -> Iterator[str]:
     ]
     if isinstance(train_freq, tuple):
         if gradient_steps != -1:
-            yield f"{' and '.join(given)}: the ratio would depend on the length of episodes; leave gradient_steps null"
+            yield (
+                f"{' and '.join(given)}: the ratio would depend on the length of episodes; leave "
+                "gradient_steps null"
+            )
         elif run.update_ratio != 1:
-            yield f"{given[0]} does one update per env step; set updates_per_step=1, or leave train_freq null"
+            yield (
+                f"{given[0]} does one update per env step; set updates_per_step=1, or leave "
+                "train_freq null"
+            )
         return
-    ratio = Fraction(1) if gradient_steps == -1 else Fraction(gradient_steps, train_freq * run.n_envs)
+    ratio = (
+        Fraction(1) if gradient_steps == -1 else Fraction(gradient_steps, train_freq * run.n_envs)
+    )
     if ratio != run.update_ratio:
         yield (
-            f"{' and '.join(given)} with n_envs={run.n_envs}: {float(ratio)} updates per env step, not {asked}; set "
+            f"{' and '.join(given)} with n_envs={run.n_envs}: {float(ratio)} updates per env step, "
+            f"not {asked}; set "
             f"updates_per_step={float(ratio)}, or leave train_freq and gradient_steps null"
         )
     elif not given and train_freq > MAX_ROUND:
         near = run.update_ratio.limit_denominator(MAX_ROUND)
-        yield f"{asked}: updates would come after {train_freq} steps of each env; try updates_per_step={float(near)}"
+        yield (
+            f"{asked}: updates would come after {train_freq} steps of each env; try "
+            f"updates_per_step={float(near)}"
+        )
 
 
 def _check_evaluation(run: RunConfig) -> Iterator[str]:
@@ -138,7 +168,10 @@ def _check_evaluation(run: RunConfig) -> Iterator[str]:
     final = evaluation.final_n_scenes
     for name in ("n_scenes", "video_episodes"):
         if final < getattr(evaluation, name):
-            yield f"evaluation.final_n_scenes={final} is below evaluation.{name}={getattr(evaluation, name)}"
+            yield (
+                f"evaluation.final_n_scenes={final} is below "
+                f"evaluation.{name}={getattr(evaluation, name)}"
+            )
     training_start = run.env.training_seeds.start
     if evaluation.first_scene + final > training_start:
         yield (

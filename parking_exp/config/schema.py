@@ -1,6 +1,8 @@
-"""The schema of a run's config: its keys, their types and ranges; `conf/` has the values, and a comment for each key.
+"""The schema of a run's config: its keys, their types and ranges; `conf/` has the values, and a
+comment for each key.
 
-Arguments of third-party classes keep the library's names, and are checked by `config.constructor_arguments`.
+Arguments of third-party classes keep the library's names, and are checked by
+`config.constructor_arguments`.
 """
 
 import math
@@ -20,7 +22,14 @@ from parking_exp.config.paths import (
     refuse_question_mark,
 )
 from parking_exp.config.run_key import result_part, short_hash
-from parking_exp.config_model import MAX_ENVS, ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.config_model import (
+    MAX_ENVS,
+    ConfigModel,
+    Count,
+    EpisodeSeed,
+    Name,
+    NumberOfEpisodes,
+)
 from parking_exp.tasks.registry import EnvConfig
 
 STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
@@ -28,7 +37,10 @@ STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://
 
 def _check_store(uri: str) -> str:
     if not STORES.fullmatch(refuse_password(uri)):
-        raise ValueError("it is not an MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking server")
+        raise ValueError(
+            "it is not an MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking "
+            "server"
+        )
     if uri.startswith(SQLITE):
         refuse_question_mark(Path(absolute(uri)))
     return uri
@@ -87,7 +99,9 @@ class BufferConfig(ThirdParty):
 
 
 FINAL_EVALUATION = {"final_n_scenes", "n_certified_scenes", "video_episodes"}
-"""Keys of `evaluation` that concern the finished model alone: a finished run is evaluated again, not trained again."""
+"""Keys of `evaluation` that concern the finished model alone: a finished run is evaluated again,
+not trained again.
+"""
 
 
 class EvaluationConfig(ConfigModel):
@@ -151,7 +165,9 @@ class RunConfig(OutputConfig):
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     total_timesteps: Count
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)]
-    updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]  # 0.001: one update in 1,000 steps of each env
+    updates_per_step: Annotated[
+        float, Field(ge=0.001, le=1000)
+    ]  # 0.001: one update in 1,000 steps of each env
     device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]
     torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
     precision: Literal["highest", "medium"]
@@ -176,12 +192,18 @@ class RunConfig(OutputConfig):
 
     @property
     def cell_key(self) -> str:
-        """Short hash of everything that can change the training or its learning curve, except the seed."""
-        return short_hash({key: value for key, value in self._trained_part().items() if key != "seed"})
+        """Short hash of everything that can change the training or its learning curve, except the
+        seed.
+        """
+        return short_hash(
+            {key: value for key, value in self._trained_part().items() if key != "seed"}
+        )
 
     @property
     def run_key(self) -> str:
-        """Short hash of everything that can change the training or its learning curve, the seed included."""
+        """Short hash of everything that can change the training or its learning curve, the seed
+        included.
+        """
         return short_hash(self._trained_part())
 
     def _trained_part(self) -> dict[str, Any]:
@@ -210,9 +232,11 @@ class RunConfig(OutputConfig):
 
     @property
     def n_certified(self) -> int:
-        """Number of final episodes that are repeated on the task's reference simulator; all if the run trains on it.
+        """Number of final episodes that are repeated on the task's reference simulator; all if the
+        run trains on it.
 
-        A task with one simulator has none to compare it with. 0 of the others: there is no cross-check.
+        A task with one simulator has none to compare it with. 0 of the others: there is no
+        cross-check.
         """
         n_final, simulators = self.evaluation.final_n_scenes, self.env.simulators
         if len(simulators) == 1:
@@ -222,15 +246,18 @@ class RunConfig(OutputConfig):
 
     @property
     def final_settings(self) -> dict[str, int]:
-        """The settings of the final evaluation as they take effect; with others, a finished run is evaluated again."""
+        """The settings of the final evaluation as they take effect; with others, a finished run is
+        evaluated again.
+        """
         settings = self.evaluation.model_dump(include=FINAL_EVALUATION)
         return {**settings, "n_certified_scenes": self.n_certified}
 
     def update_rounds(self) -> tuple[int | tuple[int, str], int]:
-        """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact.
+        """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step`
+        exact.
 
-        Values of the `algorithm` section take precedence; `rules.check_update_ratio` refuses those of another ratio.
-        -1 updates are as many as env steps.
+        Values of the `algorithm` section take precedence; `rules.check_update_ratio` refuses those
+        of another ratio. -1 updates are as many as env steps.
         """
         train_freq = self.algorithm.arguments.get("train_freq")
         gradient_steps = self.algorithm.arguments.get("gradient_steps")

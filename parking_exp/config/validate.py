@@ -1,7 +1,8 @@
-"""Validate a config: types, ranges and rules between keys, then the arguments of third-party classes.
+"""Validate a config: types, ranges and rules between keys, then the arguments of third-party
+classes.
 
-Every error is one sentence that names the key and what is wrong. Our own keys are checked without importing torch or
-mlflow; the third-party classes, and torch with them, are imported after that.
+Every error is one sentence that names the key and what is wrong. Our own keys are checked without
+importing torch or mlflow; the third-party classes, and torch with them, are imported after that.
 """
 
 from collections.abc import Iterable, Mapping, Set
@@ -45,7 +46,9 @@ def validate(config: Config | RunConfig) -> RunConfig:
 
 
 def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
-    """Validate composed configs: our own keys of all, then the arguments of their classes; raises as `validate`."""
+    """Validate composed configs: our own keys of all, then the arguments of their classes; raises
+    as `validate`.
+    """
     runs = []
     for config in configs:
         runs.append(parse(RunConfig, config, without=SWEEP_KEYS))
@@ -58,7 +61,9 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
 
 
 def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -> Model:
-    """Resolve interpolations and check a config, less some keys, against a schema; raises as `validate`."""
+    """Resolve interpolations and check a config, less some keys, against a schema; raises as
+    `validate`.
+    """
     try:
         node = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
         plain: Any = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
@@ -80,7 +85,9 @@ def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
 
 def _sentence(error: Any, model: type[BaseModel]) -> str:
     """Say what is wrong with a value: an item of `ValidationError.errors()`."""
-    key = ".".join(str(part) for part in error["loc"] if part not in TASKS)  # pydantic adds the task to keys of `env`
+    key = ".".join(
+        str(part) for part in error["loc"] if part not in TASKS
+    )  # pydantic adds the task to keys of `env`
     reason = error["msg"].removeprefix("Value error, ")
     reason = reason[0].lower() + reason[1:]
     match error["type"]:
@@ -89,7 +96,9 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         case "extra_forbidden":
             schema, name = model.model_json_schema(), str(error["loc"][-1])
             known = {
-                name for part in (schema, *schema.get("$defs", {}).values()) for name in part.get("properties", ())
+                name
+                for part in (schema, *schema.get("$defs", {}).values())
+                for name in part.get("properties", ())
             }
             return f"{key}: there is no such key{did_you_mean(name, known - {name})}"
         case "string_type" if isinstance(error["input"], int | float):

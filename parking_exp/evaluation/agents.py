@@ -41,7 +41,9 @@ class Agent:
     directory: RunDirectory | None = None  # its run directory; None for a pretrained agent
 
     def model(self, env: EnvConfig) -> "OffPolicyAlgorithm":
-        """Return the model with its weights, for predicting in an env; raises what `load_model` does."""
+        """Return the model with its weights, for predicting in an env; raises what `load_model`
+        does.
+        """
         from stable_baselines3.common.vec_env import DummyVecEnv
 
         from parking_exp.algorithms.build_model import build_model
@@ -65,27 +67,43 @@ class AgentRequest(OutputConfig):
 
 
 def find_agent(
-    run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False, trust_option: str = "trust=true"
+    run: str,
+    output_dir: Path,
+    model: ModelName = "final",
+    *,
+    trust: bool = False,
+    trust_option: str = "trust=true",
 ) -> Agent:
-    """Find a trained agent; arguments and errors are those of `load_model`, which trust by `trust_option`."""
+    """Find a trained agent; arguments and errors are those of `load_model`, which trust by
+    `trust_option`.
+    """
     if is_pretrained(run):
         return _find_pretrained(run, output_dir, model)
     others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in PRETRAINED_NAMES)]
     directory = find_run(run, output_dir, having=f"models/{model}.zip", others=others)
     weights = directory.models / f"{model}.zip"
     if not weights.exists():
-        raise RunNotFoundError(f"run={run}: {weights} does not exist; the run is {directory.status}")
+        raise RunNotFoundError(
+            f"run={run}: {weights} does not exist; the run is {directory.status}"
+        )
     config = directory.config()
     directory.check_links()
     if run == LATEST:
-        say(f"run=latest     {run_name(read_state(directory.path))} of experiment={config.experiment_name}")
+        say(
+            f"run=latest     {run_name(read_state(directory.path))} of "
+            f"experiment={config.experiment_name}"
+        )
     if not trust and not was_trained_here(directory.path):
         check_trust(config, directory.path / CONFIG_FILE, trust_option)
     return Agent(f"{model} model", config, weights, directory.path, directory)
 
 
-def find_agents(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> list[Agent]:
-    """Find the agent of a run, or those of all finished runs in a directory, such as an experiment's."""
+def find_agents(
+    run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False
+) -> list[Agent]:
+    """Find the agent of a run, or those of all finished runs in a directory, such as an
+    experiment's.
+    """
     folder = directory_path(run)
     runs = [] if is_pretrained(run) else [RunDirectory(path) for path in find_runs_below(folder)]
     if not runs:
@@ -95,11 +113,17 @@ def find_agents(run: str, output_dir: Path, model: ModelName = "final", *, trust
         raise RunNotFoundError(f"run={run}: none of its {plural(len(runs), 'run')} is finished")
     if unfinished := len(runs) - len(finished):
         say(f"left out       {plural(unfinished, 'unfinished run')}")
-    return [find_agent(str(directory.path), output_dir, model, trust=trust) for directory in finished]
+    return [
+        find_agent(str(directory.path), output_dir, model, trust=trust) for directory in finished
+    ]
 
 
 def load_model(
-    run: str = PRETRAINED, output_dir: str | Path = "outputs", model: ModelName = "final", *, trust: bool = False
+    run: str = PRETRAINED,
+    output_dir: str | Path = "outputs",
+    model: ModelName = "final",
+    *,
+    trust: bool = False,
 ) -> "OffPolicyAlgorithm":
     """Return a trained agent's model, for `predict`, in the env that it was trained in.
 
@@ -107,16 +131,19 @@ def load_model(
         run: run directory, MLflow run id, `latest`, `pretrained` or `pretrained/NAME`.
         output_dir: where runs are looked for.
         model: which of a run's models.
-        trust: whether its config may name classes that are not on the list of known ones. Those of a run that you
-            trained here may.
+        trust: whether its config may name classes that are not on the list of known ones. Those of
+            a run that you trained here may.
 
     Raises:
         ConfigError: its config can't be read, or a model of its class can't be restored exactly.
         ModelError: the weights are damaged, or do not fit the config.
         RunNotFoundError: there is no such run, or it has no such model yet.
-        UntrustedError: its config names an unknown class, or a symbolic link leads out of its directory.
+        UntrustedError: its config names an unknown class, or a symbolic link leads out of its
+            directory.
     """
-    agent = find_agent(run, directory_path(output_dir), model, trust=trust, trust_option="trust=True")
+    agent = find_agent(
+        run, directory_path(output_dir), model, trust=trust, trust_option="trust=True"
+    )
     return agent.model(agent.config.env)
 
 
@@ -128,9 +155,15 @@ def is_pretrained(run: str) -> bool:
 def _find_pretrained(run: str, output_dir: Path, model: ModelName) -> Agent:
     name = run.partition("/")[2] or "default"
     if name not in PRETRAINED_NAMES:
-        raise RunNotFoundError(f"run={run}: no such pretrained agent; choose from {', '.join(PRETRAINED_NAMES)}")
+        raise RunNotFoundError(
+            f"run={run}: no such pretrained agent; choose from {', '.join(PRETRAINED_NAMES)}"
+        )
     if model != "final":
-        raise RunNotFoundError(f"run={run}: a pretrained agent has no model={model}; use model=final")
+        raise RunNotFoundError(
+            f"run={run}: a pretrained agent has no model={model}; use model=final"
+        )
     folder, results = PRETRAINED_DIR / name, output_dir / PRETRAINED / name
     refuse_links([results.parent, results, *results.rglob("*")], output_dir)
-    return Agent(f"pretrained agent {name}", read_config(folder, output_dir), folder / POLICY_FILE, results)
+    return Agent(
+        f"pretrained agent {name}", read_config(folder, output_dir), folder / POLICY_FILE, results
+    )

@@ -1,4 +1,6 @@
-"""Evaluate a policy on episodes with fixed seeds, one row per episode, and summarise them in numbers and sentences."""
+"""Evaluate a policy on episodes with fixed seeds, one row per episode, and summarise them in
+numbers and sentences.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,12 +26,14 @@ def evaluate(
 ) -> pd.DataFrame:
     """Run one episode from each seed and return one row per episode, in the order of `seeds`.
 
-    The policy sees the episodes in batches, without those that are finished: the same batches in every simulator.
+    The policy sees the episodes in batches, without those that are finished: the same batches in
+    every simulator.
 
     Args:
         policy, task: what is evaluated, and on what.
         seeds: of `env.reset`.
-        on_step: called after each step of a batch with the number of finished episodes; may raise to stop.
+        on_step: called after each step of a batch with the number of finished episodes; may raise
+            to stop.
         simulator: one of the config's `simulators`; None: its `simulator`.
 
     Raises:
@@ -46,7 +50,9 @@ def evaluate(
 
 
 def find_differences(episodes: pd.DataFrame, reference: pd.DataFrame) -> list[str]:
-    """Compare two tables of the same episodes, row by row; return a phrase for each that differs."""
+    """Compare two tables of the same episodes, row by row; return a phrase for each that
+    differs.
+    """
     phrases = []
     for ours, theirs in zip(episodes.to_dict("records"), reference.to_dict("records"), strict=True):
         columns = [name for name in ours if not _is_same(ours[name], theirs[name])]
@@ -57,27 +63,38 @@ def find_differences(episodes: pd.DataFrame, reference: pd.DataFrame) -> list[st
 
 
 def summarise(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, float]:
-    """Return the rate or mean of every metric over an episodes table: success_rate, ..., return_mean."""
+    """Return the rate or mean of every metric over an episodes table: success_rate, ...,
+    return_mean.
+    """
     return {metric.key: float(metric.values(episodes).mean()) for metric in metrics}
 
 
 def rank(summary: dict[str, float], task: Task) -> tuple[float, ...]:
-    """Return the sort key of an evaluation: success rate, then fewer failures, then fewer steps. Larger is better."""
+    """Return the sort key of an evaluation: success rate, then fewer failures, then fewer steps.
+    Larger is better.
+    """
     return summary["success_rate"], -summary[f"{task.failure}_rate"], -summary["steps_mean"]
 
 
 def intervals(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, tuple[float, float]]:
     """Return the Wilson 95 % interval of each rate, e.g. of success_rate."""
-    return {rate.key: wilson_interval(int(rate.values(episodes).sum()), len(episodes)) for rate in _rates(metrics)}
+    return {
+        rate.key: wilson_interval(int(rate.values(episodes).sum()), len(episodes))
+        for rate in _rates(metrics)
+    }
 
 
 def describe(episodes: pd.DataFrame, metrics: Metrics) -> str:
     """Return rates with Wilson 95 % intervals, and means of the rest, as lines of text."""
     n, summary, lines = len(episodes), summarise(episodes, metrics), []
-    for rate, (low, high) in zip(_rates(metrics), intervals(episodes, metrics).values(), strict=True):
+    for rate, (low, high) in zip(
+        _rates(metrics), intervals(episodes, metrics).values(), strict=True
+    ):
         value, note = summary[rate.key], f"  ({rate.note})" if rate.note else ""
         count = f"{value * n:.0f} of {n}"
-        lines.append(f"{rate.name:<8}{value:7.1%}   95 % interval {low:.1%} to {high:.1%}   {count}{note}")
+        lines.append(
+            f"{rate.name:<8}{value:7.1%}   95 % interval {low:.1%} to {high:.1%}   {count}{note}"
+        )
     means = [metric for metric in metrics if not metric.is_rate]
     texts = [f"{mean.label.lower()} {summary[mean.key]:.3g} {mean.unit}".rstrip() for mean in means]
     return "\n".join([*lines, f"mean     {', '.join(texts)}"])
@@ -85,7 +102,10 @@ def describe(episodes: pd.DataFrame, metrics: Metrics) -> str:
 
 def describe_rates(summary: dict[str, float], step: int, metrics: Metrics) -> str:
     """Return one line about an evaluation during training."""
-    return f"evaluation at step {step}: {', '.join(f'{rate.name} {summary[rate.key]:.0%}' for rate in _rates(metrics))}"
+    return (
+        f"evaluation at step {step}: "
+        f"{', '.join(f'{rate.name} {summary[rate.key]:.0%}' for rate in _rates(metrics))}"
+    )
 
 
 def _rates(metrics: Metrics) -> list[Metric]:

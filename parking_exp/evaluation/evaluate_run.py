@@ -24,7 +24,10 @@ from parking_exp.terminal import say
 
 TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {"env", "output_dir", "tracking"}
 """Keys of the recipe that an option of `env` may set."""
-DEFAULT_EPISODES, PRETRAINED_EPISODES = 100, 20  # by default; the cards of pretrained agents have the rates of 500
+DEFAULT_EPISODES, PRETRAINED_EPISODES = (
+    100,
+    20,
+)  # by default; the cards of pretrained agents have the rates of 500
 
 
 class ResultsTracking(StoreConfig):
@@ -49,12 +52,16 @@ class EvaluationRequest(AgentRequest):
     gif: bool
     name: Name | None
     tracking: ResultsTracking
-    env: dict[str, Any] | None = None  # an option of `env` with its changes, or changes of the env of training
+    env: dict[str, Any] | None = (
+        None  # an option of `env` with its changes, or changes of the env of training
+    )
 
     @property
     def seeds(self) -> range:
         """Seeds of the episodes."""
-        n_episodes = self.episodes or (PRETRAINED_EPISODES if is_pretrained(self.run) else DEFAULT_EPISODES)
+        n_episodes = self.episodes or (
+            PRETRAINED_EPISODES if is_pretrained(self.run) else DEFAULT_EPISODES
+        )
         return range(self.first_scene, self.first_scene + n_episodes)
 
 
@@ -79,7 +86,8 @@ class Evaluation:
         if env.simulator != env.simulators[-1]:
             name += f"-{env.simulator}"
         if self.changes:
-            name += f"-{short_hash(env.model_dump())}"  # the same option with other values is another evaluation
+            # the same option with other values is another evaluation
+            name += f"-{short_hash(env.model_dump())}"
         return name
 
     @property
@@ -87,18 +95,33 @@ class Evaluation:
         """Name of the env, with changes to the training env in brackets."""
         if not self.changes or "name" in self.changes:
             return self.env.name
-        return f"{self.env.name} ({', '.join(f'{key}={setting(value)}' for key, value in self.changes.items())})"
+        return (
+            f"{self.env.name} "
+            f"({', '.join(f'{key}={setting(value)}' for key, value in self.changes.items())})"
+        )
 
     def settings(self, env: EnvConfig) -> dict[str, Any]:
-        """Return the request's settings with an env, as dotted keys, without what belongs to the agent."""
-        requested = self.request.model_dump(include={"model", "episodes", "first_scene", "simulator"})
-        return settings_of({**requested, "env": env.model_dump(exclude={"simulator", *env.agent_keys})})
+        """Return the request's settings with an env, as dotted keys, without what belongs to the
+        agent.
+        """
+        requested = self.request.model_dump(
+            include={"model", "episodes", "first_scene", "simulator"}
+        )
+        return settings_of(
+            {**requested, "env": env.model_dump(exclude={"simulator", *env.agent_keys})}
+        )
 
     @property
     def changes(self) -> dict[str, Any]:
-        """Keys of `env` that differ from the training env, except the simulator, with their values."""
+        """Keys of `env` that differ from the training env, except the simulator, with their
+        values.
+        """
         now, before = self.settings(self.env), self.settings(self.agent.config.env)
-        return {key.removeprefix("env."): now.get(key) for key in now | before if now.get(key) != before.get(key)}
+        return {
+            key.removeprefix("env."): now.get(key)
+            for key in now | before
+            if now.get(key) != before.get(key)
+        }
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
@@ -115,7 +138,9 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
 
 
 def evaluate_runs(configs: Sequence[DictConfig]) -> None:
-    """Evaluate the agents that each config names, print and store their results; several make a table."""
+    """Evaluate the agents that each config names, print and store their results; several make a
+    table.
+    """
     requests = [validate_request(config) for config in configs]
     find = cache(find_agents)  # once, for all the envs that they are evaluated on
     evaluations = [
@@ -124,7 +149,9 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
         for agent in find(request.run, request.output_path, request.model, trust=request.trust)
     ]
     if len({resolved(evaluation.folder) for evaluation in evaluations}) < len(evaluations):
-        raise ConfigError("two of these evaluations would share a folder; leave name out, and name each run once")
+        raise ConfigError(
+            "two of these evaluations would share a folder; leave name out, and name each run once"
+        )
     rates = [_evaluate(evaluation) for evaluation in evaluations]
     if len(evaluations) > 1:
         say("", *compare(evaluations, rates).split("\n"))
@@ -134,24 +161,35 @@ def compare(evaluations: Sequence[Evaluation], rates: Sequence[dict[str, float]]
     """Return a table of mean rates by cell and evaluated env, with the lowest success of a run."""
     import pandas as pd
 
-    configs = [settings_of(evaluation.agent.config.model_dump(exclude={"seed"})) for evaluation in evaluations]
+    configs = [
+        settings_of(evaluation.agent.config.model_dump(exclude={"seed"}))
+        for evaluation in evaluations
+    ]
     cells = _label(
-        configs, [evaluation.agent.config.experiment_name for evaluation in evaluations], evaluations[0].agent.name
+        configs,
+        [evaluation.agent.config.experiment_name for evaluation in evaluations],
+        evaluations[0].agent.name,
     )
     # Changes are named, too, where there is one evaluation of each agent.
     asked = [evaluation.settings(evaluation.env) for evaluation in evaluations]
     unchanged = [evaluation.settings(evaluation.agent.config.env) for evaluation in evaluations]
     changes = _label([*asked, *unchanged], [""] * 2 * len(asked), "env of training")[: len(asked)]
-    percent = [{key: 100 * rate for key, rate in row.items() if key.endswith("_rate")} for row in rates]
+    percent = [
+        {key: 100 * rate for key, rate in row.items() if key.endswith("_rate")} for row in rates
+    ]
     frame = pd.DataFrame(percent).rename(columns=lambda key: key.removesuffix("_rate"))
-    groups = frame.groupby([pd.Series(cells, name="agent"), pd.Series(changes, name="evaluated on")], sort=False)
+    groups = frame.groupby(
+        [pd.Series(cells, name="agent"), pd.Series(changes, name="evaluated on")], sort=False
+    )
     table = groups.mean().add_suffix(", %")
     table.insert(0, "runs", groups.size())
     table.insert(2, "lowest success, %", groups["success"].min())
     return table.reset_index().to_string(index=False, float_format="{:.2f}".format, na_rep="")
 
 
-def _label(settings: Sequence[dict[str, Any]], experiments: Sequence[str], default: str) -> list[str]:
+def _label(
+    settings: Sequence[dict[str, Any]], experiments: Sequence[str], default: str
+) -> list[str]:
     """Return what differs between settings; the default where nothing does."""
     factors, values = find_factors(settings, experiments)
     return [label_factors(factors, row) or default for row in values]
@@ -164,7 +202,12 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     from parking_exp.evaluation.evaluation_progress import EvaluationProgress
     from parking_exp.evaluation.video import record
 
-    request, agent, env, folder = evaluation.request, evaluation.agent, evaluation.env, evaluation.folder
+    request, agent, env, folder = (
+        evaluation.request,
+        evaluation.agent,
+        evaluation.env,
+        evaluation.folder,
+    )
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
     task = make_task(env)
@@ -177,7 +220,8 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     episodes.to_csv(folder / EPISODES_FILE, index=False)
     rates = summarise(episodes, task.metrics)
     say(
-        f"{agent.name} on {plural(len(seeds), 'episode')} of {evaluation.env_text}, from seed {request.first_scene}, "
+        f"{agent.name} on {plural(len(seeds), 'episode')} of {evaluation.env_text}, from seed "
+        f"{request.first_scene}, "
         f"simulated by {env.simulator}",
         *describe(episodes, task.metrics).split("\n"),
     )
@@ -188,7 +232,11 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
             say(str(error))
         for path in sorted(folder.glob("video.*")):
             say(f"video          {path}")
-    settings = {"simulator": env.simulator, "model": request.model, "first_scene": request.first_scene}
+    settings = {
+        "simulator": env.simulator,
+        "model": request.model,
+        "first_scene": request.first_scene,
+    }
     numbers = {"episodes": len(episodes), **rates, "intervals": intervals(episodes, task.metrics)}
     write_summary(folder, {"env": env.name, "env_config": env.model_dump(), **settings, **numbers})
     task.close()
@@ -199,7 +247,8 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
 
 
 def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
-    """Send the results to the run's store: `tracking.uri`, or the embedded store of the output directory.
+    """Send the results to the run's store: `tracking.uri`, or the embedded store of the output
+    directory.
 
     A run directory may be foreign: nothing is sent to the store that it names.
     """
@@ -211,7 +260,8 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
     if request.tracking.uri is None and (tracked_in is None or not is_same_store(tracked_in, uri)):
         if tracked_in is not None:
             say(
-                f"not stored     the run is tracked in {tracked_in}, not in the store of output_dir={output_dir}; "
+                f"not stored     the run is tracked in {tracked_in}, not in the store of "
+                f"output_dir={output_dir}; "
                 f"tracking.uri={tracked_in} sends the results there"
             )
         return
@@ -220,21 +270,35 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
 
 
 def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
-    """Return the env that an agent is evaluated on, with the agent's observation; raise ConfigError if it is wrong."""
+    """Return the env that an agent is evaluated on, with the agent's observation; raise ConfigError
+    if it is wrong.
+    """
     trained_on, asked = agent.config.env, request.env or {}
-    merged: Any = asked if "task" in asked else OmegaConf.to_container(OmegaConf.merge(trained_on.model_dump(), asked))
+    merged: Any = (
+        asked
+        if "task" in asked
+        else OmegaConf.to_container(OmegaConf.merge(trained_on.model_dump(), asked))
+    )
     if merged["task"] != trained_on.task:
         raise ConfigError(
-            f"env={merged.get('name')}: the agent was trained on env={trained_on.name}, which is another task"
+            f"env={merged.get('name')}: the agent was trained on env={trained_on.name}, which is "
+            "another task"
         )
-    env = check(EvaluatedEnv, {"env": merged | trained_on.model_dump(include={*trained_on.agent_keys})}).env
+    env = check(
+        EvaluatedEnv, {"env": merged | trained_on.model_dump(include={*trained_on.agent_keys})}
+    ).env
     if request.simulator not in (None, *env.simulators):
-        raise ConfigError(f"simulator={request.simulator}: env={env.name} has {' and '.join(env.simulators)}")
+        raise ConfigError(
+            f"simulator={request.simulator}: env={env.name} has {' and '.join(env.simulators)}"
+        )
     simulator = request.simulator or env.simulators[-1]  # by default the task's reference
     if simulator != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
     if request.seeds.stop > env.training_seeds.start:
         highest = env.training_seeds.start - len(request.seeds)
-        raise ConfigError(f"first_scene={request.first_scene} overlaps the training seeds; it can be at most {highest}")
+        raise ConfigError(
+            f"first_scene={request.first_scene} overlaps the training seeds; it can be at most "
+            f"{highest}"
+        )
     refuse([*env.problems(), *make_task(env).problems()])
     return env

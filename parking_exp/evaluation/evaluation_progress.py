@@ -1,4 +1,6 @@
-"""Progress of an evaluation: a rich bar on a terminal; elsewhere a line for each tenth of the episodes."""
+"""Progress of an evaluation: a rich bar on a terminal; elsewhere a line for each tenth of the
+episodes.
+"""
 
 import time
 from typing import Self
@@ -15,8 +17,8 @@ QUIET_S = 5.0
 class EvaluationProgress:
     """Context manager that shows how many episodes are over, on the standard error stream.
 
-    Episodes are stepped together, so that none may be over for a minute: without a terminal, there are also lines after
-    5, 10, 20, 40, ... seconds.
+    Episodes are stepped together, so that none may be over for a minute: without a terminal, there
+    are also lines after 5, 10, 20, 40, ... seconds.
     """
 
     def __init__(self, n_episodes: int, env_name: str) -> None:
@@ -40,7 +42,9 @@ class EvaluationProgress:
     def update(self, finished: int) -> None:
         """Show the number of finished episodes, after a step of those that are stepped together."""
         self._n_steps += 1
-        self._bar.update(self._task, completed=finished, description=f"{self._name}, step {self._n_steps}")
+        self._bar.update(
+            self._task, completed=finished, description=f"{self._name}, step {self._n_steps}"
+        )
         if not self._bar.disable:
             return
         elapsed_s = time.monotonic() - self._start
@@ -49,4 +53,6 @@ class EvaluationProgress:
             self._next_tenth = 10 * finished // self._n_episodes + 1
         if elapsed_s >= self._next_line_s or (is_tenth and elapsed_s >= QUIET_S):
             self._next_line_s = 2 * max(elapsed_s, QUIET_S)
-            say(f"evaluation  {finished} of {self._name} over, after {elapsed_s:.0f} s", stderr=True)
+            say(
+                f"evaluation  {finished} of {self._name} over, after {elapsed_s:.0f} s", stderr=True
+            )

@@ -1,4 +1,6 @@
-"""Export the policy of a stored run, or of a pretrained agent, to a file that other programs read."""
+"""Export the policy of a stored run, or of a pretrained agent, to a file that other programs
+read.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,9 +30,13 @@ def validate_request(config: DictConfig) -> ExportRequest:
     request = parse(ExportRequest, config)
     for name in ("onnx", "onnxruntime") if request.format == "onnx" else ():
         if find_spec(name) is None:
-            raise ConfigError(f"format=onnx: {name} is not installed; pip install 'parking-exp[export]'")
+            raise ConfigError(
+                f"format=onnx: {name} is not installed; pip install 'parking-exp[export]'"
+            )
     if request.path is not None and not request.path.endswith(f".{request.format}"):
-        raise ConfigError(f"path={request.path}: a file of format={request.format} ends in .{request.format}")
+        raise ConfigError(
+            f"path={request.path}: a file of format={request.format} ends in .{request.format}"
+        )
     return request
 
 
@@ -47,22 +53,31 @@ def export_runs(configs: Sequence[DictConfig]) -> None:
     """Write the policies of the agents that each config names.
 
     Raises:
-        ConfigError: a config is wrong, or two policies would be written to one file; nothing is written.
+        ConfigError: a config is wrong, or two policies would be written to one file; nothing is
+            written.
         ModelError: the model can't be exported; also what `agents.load_model` raises.
     """
     exports = [_find_export(request) for request in map(validate_request, configs)]
     files = [resolved(export.path) for export in exports]
     for export, file in zip(exports, files, strict=True):
         if files.count(file) > 1:
-            raise ConfigError(f"path={export.path}: {files.count(file)} policies would be written to this file")
+            raise ConfigError(
+                f"path={export.path}: {files.count(file)} policies would be written to this file"
+            )
     for export in exports:
         _write(export)
 
 
 def _find_export(request: ExportRequest) -> Export:
     agent = find_agent(request.run, request.output_path, request.model, trust=request.trust)
-    agent = replace(agent, config=agent.config.model_copy(update={"device": "cpu"}))  # files are for any machine
-    path = directory_path(request.path) if request.path else agent.folder / "exports" / f"policy.{request.format}"
+    agent = replace(
+        agent, config=agent.config.model_copy(update={"device": "cpu"})
+    )  # files are for any machine
+    path = (
+        directory_path(request.path)
+        if request.path
+        else agent.folder / "exports" / f"policy.{request.format}"
+    )
     return Export(request, agent, path)
 
 

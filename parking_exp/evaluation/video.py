@@ -17,14 +17,17 @@ def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bo
     """Record one episode from each seed in one mp4, and with `gif` also a GIF of the same name.
 
     Raises:
-        VideoError: for whatever drivers, bindings, shared libraries and the environment's own code raise.
+        VideoError: for whatever drivers, bindings, shared libraries and the environment's own code
+            raise.
     """
     try:
         _record(policy, task, seeds, path, gif)
     except VideoError:
         raise
     except (Exception, SystemExit) as error:
-        raise VideoError(f"no video of {task.env_id}: {type(error).__name__}: {one_line(error)}") from error
+        raise VideoError(
+            f"no video of {task.env_id}: {type(error).__name__}: {one_line(error)}"
+        ) from error
 
 
 def _record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool) -> None:
@@ -32,7 +35,11 @@ def _record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: b
     # Every third frame and a palette: small enough for a README.
     stride, gif_frames = max(1, task.frame_rate // 5), []
     with replacing(path) as temporary:
-        options: dict[str, Any] = {"fps": task.frame_rate, "codec": "libx264", "macro_block_size": 2}
+        options: dict[str, Any] = {
+            "fps": task.frame_rate,
+            "codec": "libx264",
+            "macro_block_size": 2,
+        }
         video: Any = iio.get_writer(temporary, format="FFMPEG", **options)
         with closing(video):  # as a context manager, it would leave ffmpeg running after an error
             for number, frame in enumerate(task.frames(policy, seeds), start=1):
@@ -42,4 +49,10 @@ def _record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: b
     if gif:
         first, *rest = gif_frames
         duration_ms = 1000 * stride / task.frame_rate
-        first.save(path.with_suffix(".gif"), save_all=True, append_images=rest, duration=duration_ms, loop=0)
+        first.save(
+            path.with_suffix(".gif"),
+            save_all=True,
+            append_images=rest,
+            duration=duration_ms,
+            loop=0,
+        )

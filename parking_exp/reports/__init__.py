@@ -1,1 +1,3 @@
-"""Reports that compare the cells of an experiment: numbers, findings, figures and pages from results."""
+"""Reports that compare the cells of an experiment: numbers, findings, figures and pages from
+results.
+"""

@@ -43,7 +43,9 @@ class CellRuns:
     label: str  # what distinguishes it from the others of the report
     settings: dict[str, Setting]  # value of each factor
     config: Config
-    runs: pd.DataFrame  # rows of `Results.runs` by seed; of runs with equal seeds, the one that is done, or is newer
+    runs: (
+        pd.DataFrame
+    )  # rows of `Results.runs` by seed; of runs with equal seeds, the one that is done, or is newer
     n_repeated: int  # runs left out for another one with the same seed
 
     @property
@@ -72,37 +74,50 @@ def group(runs: pd.DataFrame) -> list[CellRuns]:
     configs = begun[keys].astype(object)
     has_config = configs.notna().any(axis=1)  # not if its file is damaged
     cells = []
-    for (experiment, name), table in begun.drop(columns=keys).groupby(["experiment", "cell"], sort=False):
-        newest = table.assign(done=table["status"] == "done").sort_values(["seed", "done", "started"], kind="stable")
+    for (experiment, name), table in begun.drop(columns=keys).groupby(
+        ["experiment", "cell"], sort=False
+    ):
+        newest = table.assign(done=table["status"] == "done").sort_values(
+            ["seed", "done", "started"], kind="stable"
+        )
         once = newest.drop_duplicates("seed", keep="last").drop(columns="done")
         with_config = [number for number in table.index if has_config[number]]
         first = with_config[0] if with_config else table.index[0]
         config = _read_config(configs.loc[first])
-        cells.append(CellRuns(str(experiment), str(name), "", {}, config, once, len(table) - len(once)))
+        cells.append(
+            CellRuns(str(experiment), str(name), "", {}, config, once, len(table) - len(once))
+        )
     labelled, factors = relabel(cells)
     levels = [[*factor.levels, None] for factor in factors]  # a control without the key comes last
 
     def level_indices(cell: CellRuns) -> list[int]:
-        return [known.index(cell.settings[factor.key]) for known, factor in zip(levels, factors, strict=True)]
+        return [
+            known.index(cell.settings[factor.key])
+            for known, factor in zip(levels, factors, strict=True)
+        ]
 
     return sorted(labelled, key=level_indices)
 
 
 def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
     """Return cells with labels that distinguish these alone, and the factors."""
-    factors, settings = find_factors([cell.config for cell in cells], [cell.experiment for cell in cells])
+    factors, settings = find_factors(
+        [cell.config for cell in cells], [cell.experiment for cell in cells]
+    )
     if len(cells) == 1:
         (cell,) = cells
         label = cell.label or label_cells([cell.config], [cell.name])[0]
         return [replace(cell, label=label, settings=settings[0])], factors
     labels = labels_from_factors(factors, settings, [cell.name for cell in cells])
     return [
-        replace(cell, label=label, settings=values) for cell, label, values in zip(cells, labels, settings, strict=True)
+        replace(cell, label=label, settings=values)
+        for cell, label, values in zip(cells, labels, settings, strict=True)
     ], factors
 
 
 def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells") -> list[CellRuns]:
-    """Return the cells that fit any of the labels, names or patterns of them (`her_*`), and all `KEY=VALUE,VALUE`.
+    """Return the cells that fit any of the labels, names or patterns of them (`her_*`), and all
+    `KEY=VALUE,VALUE`.
 
     KEY is a group, a config key or the end of one; the values are those it may have.
     """
@@ -119,8 +134,11 @@ def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells")
     return selected
 
 
-def find_cell(cells: Sequence[CellRuns], name: str, key: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
-    """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred.
+def find_cell(
+    cells: Sequence[CellRuns], name: str, key: str, preferred: Sequence[CellRuns] = ()
+) -> CellRuns:
+    """Return the one cell that fits a label, a name or a pattern; where several do, the one that is
+    preferred.
 
     Raises:
         ConfigError: none fits, or several; it begins with `key`.
@@ -134,14 +152,23 @@ def find_cell(cells: Sequence[CellRuns], name: str, key: str, preferred: Sequenc
     return fitting[0]
 
 
-def find_contrasts(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, CellRuns]], list[str], list[str]]:
-    """Return the pairs that experiments declare as `contrasts`, those that name no cell, and warnings.
+def find_contrasts(
+    cells: Sequence[CellRuns],
+) -> tuple[list[tuple[CellRuns, CellRuns]], list[str], list[str]]:
+    """Return the pairs that experiments declare as `contrasts`, those that name no cell, and
+    warnings.
 
     Those of an experiment's first run count, and its cells are named as in a report on it alone.
     """
-    contrasts, unknown, warnings = dict[frozenset[int], tuple[CellRuns, CellRuns]](), list[str](), list[str]()
+    contrasts, unknown, warnings = (
+        dict[frozenset[int], tuple[CellRuns, CellRuns]](),
+        list[str](),
+        list[str](),
+    )
     for experiment in dict.fromkeys(cell.experiment for cell in cells):
-        own = sorted((cell for cell in cells if cell.experiment == experiment), key=lambda cell: cell.begun)
+        own = sorted(
+            (cell for cell in cells if cell.experiment == experiment), key=lambda cell: cell.begun
+        )
         labelled = relabel(own)[0]
         try:
             named = CONTRASTS.validate_python(ast.literal_eval(str(own[0].config.get("contrasts"))))
@@ -150,7 +177,9 @@ def find_contrasts(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, Cell
             continue
         for pair in named or ():
             try:
-                first, second = (own[labelled.index(find_cell(labelled, name, "contrasts"))] for name in pair)
+                first, second = (
+                    own[labelled.index(find_cell(labelled, name, "contrasts"))] for name in pair
+                )
             except ConfigError:
                 unknown.append(" minus ".join(pair))
                 continue
@@ -159,10 +188,14 @@ def find_contrasts(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, Cell
     return list(contrasts.values()), unknown, warnings
 
 
-def match_cells(cells: Sequence[CellRuns], factors: Sequence[Factor], contrast: str) -> list[tuple[CellRuns, CellRuns]]:
-    """Return the pairs of cells that differ in one factor alone, for a contrast `FACTOR:LEVEL-LEVEL`.
+def match_cells(
+    cells: Sequence[CellRuns], factors: Sequence[Factor], contrast: str
+) -> list[tuple[CellRuns, CellRuns]]:
+    """Return the pairs of cells that differ in one factor alone, for a contrast
+    `FACTOR:LEVEL-LEVEL`.
 
-    A factor that one of the two cells does not have is not compared, such as `n_sampled_goal` of replay.
+    A factor that one of the two cells does not have is not compared, such as `n_sampled_goal` of
+    replay.
 
     Raises:
         ConfigError: there is no such factor or level, or no two cells match.
@@ -173,8 +206,12 @@ def match_cells(cells: Sequence[CellRuns], factors: Sequence[Factor], contrast: 
         hint = suggestion(name, [factor.name for factor in factors])
         raise ConfigError(f"contrast={contrast}: these cells do not differ in {name!r}{hint}")
     first_level, second_level = _find_levels(factor, levels, contrast)
-    first_cells = [cell for cell in cells if _normalise(setting(cell.settings[factor.key])) == first_level]
-    second_cells = [cell for cell in cells if _normalise(setting(cell.settings[factor.key])) == second_level]
+    first_cells = [
+        cell for cell in cells if _normalise(setting(cell.settings[factor.key])) == first_level
+    ]
+    second_cells = [
+        cell for cell in cells if _normalise(setting(cell.settings[factor.key])) == second_level
+    ]
     others = [other.key for other in factors if other is not factor]
     pairs = []
     for first in first_cells:
@@ -182,7 +219,9 @@ def match_cells(cells: Sequence[CellRuns], factors: Sequence[Factor], contrast: 
             if first is not second and all(_is_matched(first, second, key) for key in others):
                 pairs.append((first, second))
     if not pairs:
-        raise ConfigError(f"contrast={contrast}: no two of these cells differ in {factor.name} alone")
+        raise ConfigError(
+            f"contrast={contrast}: no two of these cells differ in {factor.name} alone"
+        )
     return pairs
 
 
@@ -214,27 +253,48 @@ def _find_matching(cells: Sequence[CellRuns], pattern: str, key: str) -> list[Ce
     if named := _find_named(cells, pattern):
         return named
     names = [(cell, (cell.label, cell.name, *cell.label.split(", "))) for cell in cells]
-    if fitting := [cell for cell, words in names if any(fnmatchcase(word, pattern) for word in words)]:
+    if fitting := [
+        cell for cell, words in names if any(fnmatchcase(word, pattern) for word in words)
+    ]:
         return fitting
-    raise ConfigError(f"{key}: no cell is called {pattern!r}{suggestion(pattern, [cell.label for cell in cells])}")
+    raise ConfigError(
+        f"{key}: no cell is called {pattern!r}{suggestion(pattern, [cell.label for cell in cells])}"
+    )
 
 
-def _narrow(selected: Sequence[CellRuns], cells: Sequence[CellRuns], condition: str) -> list[CellRuns]:
+def _narrow(
+    selected: Sequence[CellRuns], cells: Sequence[CellRuns], condition: str
+) -> list[CellRuns]:
     """Return the selected cells whose config fits `KEY=VALUE,VALUE`."""
     name, _, text = condition.partition("=")
-    keys = dict.fromkeys(key for cell in cells for key in cell.config if can_matter(key) or key == LABEL)
+    keys = dict.fromkeys(
+        key for cell in cells for key in cell.config if can_matter(key) or key == LABEL
+    )
     exact = f"{name}.name" if name in GROUPS else name
     fitting = [exact] if exact in keys else [key for key in keys if key.endswith(f".{name}")]
     if len(fitting) != 1:
         hint = suggestion(name, {*GROUPS, *report_request.KEYS, *keys})
         raise ConfigError(f"{name}: neither a key of this command nor of these runs' configs{hint}")
     (key,) = fitting
-    values = {_normalise(setting(cell.config[key])): setting(cell.config[key]) for cell in cells if key in cell.config}
+    values = {
+        _normalise(setting(cell.config[key])): setting(cell.config[key])
+        for cell in cells
+        if key in cell.config
+    }
     whole = without_quotes(text)
-    wanted = [_normalise(value) for value in ([whole] if _normalise(whole) in values else _split_values(text))]
+    wanted = [
+        _normalise(value)
+        for value in ([whole] if _normalise(whole) in values else _split_values(text))
+    ]
     if unknown := [value for value in wanted if value not in values]:
-        raise ConfigError(f"{name}={unknown[0]}: no run has that{suggestion(unknown[0], values.values())}")
-    return [cell for cell in selected if key in cell.config and _normalise(setting(cell.config[key])) in wanted]
+        raise ConfigError(
+            f"{name}={unknown[0]}: no run has that{suggestion(unknown[0], values.values())}"
+        )
+    return [
+        cell
+        for cell in selected
+        if key in cell.config and _normalise(setting(cell.config[key])) in wanted
+    ]
 
 
 def _normalise(text: str) -> str:
@@ -247,7 +307,9 @@ def _normalise(text: str) -> str:
 
 
 def _split_values(text: str) -> list[str]:
-    """Split values at commas, except inside brackets; brackets around all of them, and quotes, are removed."""
+    """Split values at commas, except inside brackets; brackets around all of them, and quotes, are
+    removed.
+    """
     inner = text[1:-1] if text.startswith("[") and text.endswith("]") else text
     return [value.strip(" '\"") for value in re.split(r",(?![^\[]*\])", inner)]
 
@@ -259,4 +321,6 @@ def _read_config(row: pd.Series) -> dict[str, Setting]:
 
 def _to_plain(value: Any) -> Setting:
     plain = value.item() if isinstance(value, np.generic) else value
-    return str(plain) if isinstance(plain, float) and math.isinf(plain) else plain  # JSON has no infinity
+    return (
+        str(plain) if isinstance(plain, float) and math.isinf(plain) else plain
+    )  # JSON has no infinity

@@ -32,18 +32,29 @@ RELIABLE = 0.95  # final success of a seed
 HOLD = 3  # evaluations in a row
 STAGES = {"interrupted": "pending"}
 REPORTED: dict[str, Metric] = {
-    metric.name if metric.is_rate else metric.run_column: metric for metric in METRICS if metric.in_reports
+    metric.name if metric.is_rate else metric.run_column: metric
+    for metric in METRICS
+    if metric.in_reports
 }
 """Metrics of reports by their names in `Cell` and `RunSummary`."""
 FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(RunSummary)}]
 """Those without a field of their own, which only some tasks have."""
-RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "cpu_s", *(metric.run_column for metric in REPORTED.values())]
+RUN_COLUMNS = [
+    "run_id",
+    "run_dir",
+    "seed",
+    "n_scenes",
+    "cpu_s",
+    *(metric.run_column for metric in REPORTED.values()),
+]
 CURVE_COLUMNS = ["run_id", "step", "success_rate", "failure_rate", "cpu_s"]
 
 
 @dataclass(frozen=True)
 class RunEvaluations:
-    """Rows of `Results.curves` and `Results.episodes` by run id: selecting them for each run is slow."""
+    """Rows of `Results.curves` and `Results.episodes` by run id: selecting them for each run is
+    slow.
+    """
 
     curves: dict[str, pd.DataFrame]  # of the runs that have a success rate
     final: dict[str, pd.DataFrame]  # seed and outcome of the final episodes
@@ -53,9 +64,13 @@ class RunEvaluations:
         """Split the frames of some results."""
         rated = results.curves.loc[results.curves["success_rate"].notna(), "run_id"].unique()
         curves = results.curves[results.curves["run_id"].isin(rated)]
-        by_task = curves.reindex(columns=[f"{name}_rate" for name in FAILURES])  # a task has one of them
+        by_task = curves.reindex(
+            columns=[f"{name}_rate" for name in FAILURES]
+        )  # a task has one of them
         curves = curves.assign(failure_rate=by_task.bfill(axis=1).iloc[:, 0])[CURVE_COLUMNS]
-        final = results.episodes.loc[results.episodes["phase"] == "final", ["run_id", EPISODE_SEED, "outcome"]]
+        final = results.episodes.loc[
+            results.episodes["phase"] == "final", ["run_id", EPISODE_SEED, "outcome"]
+        ]
         by_run = [
             {str(run): rows for run, rows in frame.groupby("run_id", sort=False, observed=True)}
             for frame in (curves, final)
@@ -64,13 +79,17 @@ class RunEvaluations:
 
 
 def summarise(cell: CellRuns, number: int, evaluations: RunEvaluations, unfinished: bool) -> Cell:
-    """Return a cell's numbers; with `unfinished`, learning curves include runs that are not done."""
+    """Return a cell's numbers; with `unfinished`, learning curves include runs that are not
+    done.
+    """
     runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
     seeds = [_summarise_run(run, evaluations) for run in runs]
     success = [seed.success for seed in seeds if seed.success is not None]
     n_episodes = min((seed.n_episodes or 0 for seed in seeds), default=0) or None
     means = {
-        name: _average([finite_or_none(run[metric.run_column]) for run in runs], metric.is_rate, n_episodes)
+        name: _average(
+            [finite_or_none(run[metric.run_column]) for run in runs], metric.is_rate, n_episodes
+        )
         for name, metric in REPORTED.items()
     }
     return Cell(
@@ -88,7 +107,9 @@ def summarise(cell: CellRuns, number: int, evaluations: RunEvaluations, unfinish
         reaching_95=share_reaching(success, RELIABLE) if success else Proportion(0, 0, None, None),
         seeds=seeds,
         curve=_average_curves(cell.runs if unfinished else cell.done, evaluations),
-        task_data=_summarise_task(cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]),
+        task_data=_summarise_task(
+            cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]
+        ),
         note=coverage_note(success) if success else None,
         **_measure_time_to_90(seeds),
         **_metric_fields(means),
@@ -96,13 +117,24 @@ def summarise(cell: CellRuns, number: int, evaluations: RunEvaluations, unfinish
 
 
 def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a seed or a cell that hold these metrics; those of other tasks are left out."""
+    """Return the fields of a seed or a cell that hold these metrics; those of other tasks are left
+    out.
+    """
     own = {name: value for name, value in values.items() if name not in FURTHER}
-    return {**own, "further": {name: values[name] for name in FURTHER if values[name] not in (None, Interval(None))}}
+    return {
+        **own,
+        "further": {
+            name: values[name] for name in FURTHER if values[name] not in (None, Interval(None))
+        },
+    }
 
 
 def _summarise_task(cell: CellRuns, final: Sequence[pd.DataFrame]) -> dict[str, Any]:
-    return {key: value for task in task_reports([cell.task]) for key, value in task.rates(final, cell.config).items()}
+    return {
+        key: value
+        for task in task_reports([cell.task])
+        for key, value in task.rates(final, cell.config).items()
+    }
 
 
 def _summarise_run(run: dict[str, Any], evaluations: RunEvaluations) -> RunSummary:
@@ -135,7 +167,9 @@ def _measure_curve(curve: pd.DataFrame) -> dict[str, Any]:
     return {
         "steps_to_90": time,
         "reached_90": reached,
-        "cpu_s_to_90": finite_or_none(curve["cpu_s"].iloc[np.searchsorted(step, time)]) if reached else None,
+        "cpu_s_to_90": finite_or_none(curve["cpu_s"].iloc[np.searchsorted(step, time)])
+        if reached
+        else None,
         "area": area,
     }
 
@@ -183,11 +217,15 @@ def _measure_time_to_90(seeds: Sequence[RunSummary]) -> dict[str, Any]:
     }
 
 
-def _average(values: Sequence[float | None], is_rate: bool = False, n_episodes: int | None = None) -> Interval:
+def _average(
+    values: Sequence[float | None], is_rate: bool = False, n_episodes: int | None = None
+) -> Interval:
     known = [value for value in values if value is not None]
     if not known:
         return Interval(None)
-    if not is_rate or (n_episodes is None and len(set(known)) == 1):  # an interval of areas that are all 1 has no width
+    if not is_rate or (
+        n_episodes is None and len(set(known)) == 1
+    ):  # an interval of areas that are all 1 has no width
         return Interval(sum(known) / len(known), n=len(known))
     return mean_interval(known, n_episodes)
 

@@ -47,7 +47,10 @@ def _describe_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     elif len(first) > 1:
         yield f"{list_names(first)} have the same final success, the highest: {rate}."
     else:
-        yield f"{quoted_label(best.label)} has the highest final success: {rate} of the episodes, {seeds}."
+        yield (
+            f"{quoted_label(best.label)} has the highest final success: {rate} of the episodes, "
+            f"{seeds}."
+        )
     by_id = {cell.id: cell for cell in rated}
     if family.declared:
         yield from (_describe_contrast(by_id[pair.a], by_id[pair.b], pair) for pair in family.pairs)
@@ -55,7 +58,9 @@ def _describe_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
         reference = by_id[family.reference] if family.reference else best
         yield from _describe_comparisons(reference, by_id, family.pairs)
     if shares := [
-        f"{quoted_label(cell.label)} {_write_share(cell.reaching_95)}" for cell in rated if cell.reaching_95.n > 1
+        f"{quoted_label(cell.label)} {_write_share(cell.reaching_95)}"
+        for cell in rated
+        if cell.reaching_95.n > 1
     ]:
         yield f"Seeds that end at 95 % or above: {_join_first(shares)}."
 
@@ -67,15 +72,23 @@ def _describe_factors(factors: Sequence[Factor], effects: Sequence[MainEffect]) 
         if not effect.complete or effect.largest is None:
             continue
         high, low = effect.extremes
-        verdict = "" if effect.p is not None and effect.p < SIGNIFICANT else "levels are indistinguishable; "
+        verdict = (
+            ""
+            if effect.p is not None and effect.p < SIGNIFICANT
+            else "levels are indistinguishable; "
+        )
         gap = ", ".join(filter(None, (points_interval(effect.largest), p_value(effect.p))))
         yield (
-            f"{names[effect.factor]}: {verdict}{setting(high.level)} ({rate_interval(high.effect)}) minus "
-            f"{setting(low.level)} ({rate_interval(low.effect)}), averaged over other factors: {gap}."
+            f"{names[effect.factor]}: {verdict}{setting(high.level)} "
+            f"({rate_interval(high.effect)}) minus "
+            f"{setting(low.level)} ({rate_interval(low.effect)}), averaged over other factors: "
+            f"{gap}."
         )
 
 
-def _describe_comparisons(reference: Cell, cells: Mapping[str, Cell], pairs: Sequence[Pair]) -> Iterator[str]:
+def _describe_comparisons(
+    reference: Cell, cells: Mapping[str, Cell], pairs: Sequence[Pair]
+) -> Iterator[str]:
     """Yield how one cell compares with the others, by verdict: the smallest difference first."""
     with_reference = [pair for pair in pairs if reference.id in (pair.a, pair.b)]
     oriented = [pair if pair.a == reference.id else pair.reverse() for pair in with_reference]
@@ -95,28 +108,41 @@ def _describe_comparisons(reference: Cell, cells: Mapping[str, Cell], pairs: Seq
 
 
 def _describe_lowest(reference: Cell, others: Sequence[Cell]) -> str:
-    """Return a sentence on the lowest of the cells that cannot be told from a reference, if it is far below."""
+    """Return a sentence on the lowest of the cells that cannot be told from a reference, if it is
+    far below.
+    """
     lowest = min(cell.success.value or 0.0 for cell in others)
     cells = [cell for cell in others if cell.success.value == lowest]
     if lowest > (reference.success.value or 0.0) - FAR_BELOW:
         return ""
     names = list_names([cell.label for cell in cells])
     return (
-        f" That is not equal: {names} succeed{'s' if len(cells) == 1 else ''} in {rate_interval(cells[0].success)}, "
+        f" That is not equal: {names} succeed{'s' if len(cells) == 1 else ''} in "
+        f"{rate_interval(cells[0].success)}, "
         "and more seeds or fewer pairs (baseline=, contrast=) can tell."
     )
 
 
 def _describe_contrast(cell: Cell, other: Cell, pair: Pair) -> str:
-    gap = f"{quoted_label(other.label)}{TOO_FEW}" if pair.verdict == "unknown" else f"{_write_gap(other, pair)}."
+    gap = (
+        f"{quoted_label(other.label)}{TOO_FEW}"
+        if pair.verdict == "unknown"
+        else f"{_write_gap(other, pair)}."
+    )
     return f"{quoted_label(cell.label)} {VERDICTS[pair.verdict].verb} {gap}"
 
 
 def _write_gap(other: Cell, pair: Pair) -> str:
     """Write `td3 (+26.1 points [+16.9, +35.4], p < 0.001)`, and where ranks disagree, their p."""
     p = f", {p_value(pair.p_corrected)}" if pair.p_corrected is not None else ""
-    many = pair.difference.n >= ENOUGH_SEEDS  # with fewer, ranks of several pairs can't be significant after Holm
-    if many and pair.rank_p_holm is not None and (pair.rank_p_holm < SIGNIFICANT) != (pair.verdict in ("a", "b")):
+    many = (
+        pair.difference.n >= ENOUGH_SEEDS
+    )  # with fewer, ranks of several pairs can't be significant after Holm
+    if (
+        many
+        and pair.rank_p_holm is not None
+        and (pair.rank_p_holm < SIGNIFICANT) != (pair.verdict in ("a", "b"))
+    ):
         p += f", but by ranks {p_value(pair.rank_p_holm)}"
     return f"{quoted_label(other.label)} ({points_interval(pair.difference)}{p})"
 
@@ -127,5 +153,9 @@ def _join_first(parts: Sequence[str]) -> str:
 
 
 def _write_share(share: Proportion) -> str:
-    interval = "" if share.low is None or share.high is None else f" [{100 * share.low:.0f}, {100 * share.high:.0f} %]"
+    interval = (
+        ""
+        if share.low is None or share.high is None
+        else f" [{100 * share.low:.0f}, {100 * share.high:.0f} %]"
+    )
     return f"{share.k} of {share.n}{interval}"

@@ -25,7 +25,9 @@ VERDICTS: dict[Verdict, VerdictWords] = {
 
 
 def percent(share: float | None) -> str:
-    """Write 0.944 as `94.4`, and 0.9997 as `99.97`: a share that is not quite 0 or 1 is never written as that."""
+    """Write 0.944 as `94.4`, and 0.9997 as `99.97`: a share that is not quite 0 or 1 is never
+    written as that.
+    """
     if (share := finite_or_none(share)) is None:
         return ""
     if 1e-9 < min(share, 1 - share) < 0.001:
@@ -78,7 +80,9 @@ def rate_interval(interval: Interval) -> str:
 
 
 def points(difference: float | None) -> str:
-    """Write a difference of rates in percentage points: `+3.2`, with a proper minus, and `+0.03` next to 0."""
+    """Write a difference of rates in percentage points: `+3.2`, with a proper minus, and `+0.03`
+    next to 0.
+    """
     if (difference := finite_or_none(difference)) is None:
         return ""
     if abs(difference) < 1e-9:

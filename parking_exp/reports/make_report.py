@@ -19,7 +19,13 @@ from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_files import write_report
 from parking_exp.reports.report_request import ReportRequest
 from parking_exp.reports.search_report import Tuning, add_search, add_tuning
-from parking_exp.results.frame_export import REPORT, read_export, refuse_foreign, without_paths, write_export
+from parking_exp.results.frame_export import (
+    REPORT,
+    read_export,
+    refuse_foreign,
+    without_paths,
+    write_export,
+)
 from parking_exp.results.frames import Results, load, read_store
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
@@ -29,7 +35,9 @@ from parking_exp.tracking.store import Store
 
 
 class ReportSource(NamedTuple):
-    """What a report is made of: results of experiments, their names, and the search that an export has."""
+    """What a report is made of: results of experiments, their names, and the search that an export
+    has.
+    """
 
     results: Results
     experiments: list[str]
@@ -75,15 +83,23 @@ def _read_source(request: ReportRequest, show: Callable[[str], None]) -> ReportS
         results = load(request.experiments, uri=request.tracking.uri)
     else:
         show("sending to the store what it lacks")
-        paths = [path for name in request.experiments or [""] for path in find_runs(request.output_path, name or None)]
+        paths = [
+            path
+            for name in request.experiments or [""]
+            for path in find_runs(request.output_path, name or None)
+        ]
         store = Store(default_uri(request.output_path), request.output_path)
         problem = mirror_problem(map(RunDirectory, paths), store)
         show("reading the store")
         results = read_store(store, request.experiments)
-        results = replace(results, problems=(*([f"{problem}."] if problem else []), *results.problems))
+        results = replace(
+            results, problems=(*([f"{problem}."] if problem else []), *results.problems)
+        )
     names = list(dict.fromkeys(results.runs["experiment"]))
     if request.experiments is None and len(names) > 1:
-        raise ConfigError(f"experiment: the store has several; name one or more of {', '.join(names)}")
+        raise ConfigError(
+            f"experiment: the store has several; name one or more of {', '.join(names)}"
+        )
     return ReportSource(results, request.experiments or names)
 
 
@@ -102,8 +118,12 @@ def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
     return add_tuning(data, source.tuning) if source.tuning else data
 
 
-def write_report_export(source: ReportSource, report: ReportData, folder: Path, *, only_cells: bool) -> None:
-    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the experiments."""
+def write_report_export(
+    source: ReportSource, report: ReportData, folder: Path, *, only_cells: bool
+) -> None:
+    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the
+    experiments.
+    """
     results = _select_cells(source.results, report) if only_cells else source.results
     tuning = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
     write_export(results, folder, {"experiments": source.experiments, "report": {"tuning": tuning}})
@@ -116,13 +136,19 @@ def read_report_export(folder: str) -> ReportSource:
         experiments = TypeAdapter(list[str]).validate_python(results.about["experiments"])
         tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
     except (ValidationError, KeyError, AttributeError) as error:
-        raise ResultsError(f"{Path(folder) / REPORT} can't be read: it does not describe a report") from error
+        raise ResultsError(
+            f"{Path(folder) / REPORT} can't be read: it does not describe a report"
+        ) from error
     return ReportSource(results, experiments, tuning)
 
 
 def _select_cells(results: Results, report: ReportData) -> Results:
     cells = {(cell.experiment, cell.name) for cell in report.cells}
-    kept = [pair in cells for pair in zip(results.runs["experiment"], results.runs["cell"], strict=True)]
+    kept = [
+        pair in cells for pair in zip(results.runs["experiment"], results.runs["cell"], strict=True)
+    ]
     runs = results.runs[kept].reset_index(drop=True)
-    curves, episodes = (frame[frame["run_id"].isin(runs["run_id"])] for frame in (results.curves, results.episodes))
+    curves, episodes = (
+        frame[frame["run_id"].isin(runs["run_id"])] for frame in (results.curves, results.episodes)
+    )
     return replace(results, runs=runs, curves=curves, episodes=episodes)

@@ -61,7 +61,8 @@ def build_report(
         experiments: their names.
         cells: labels, names, patterns and conditions, see `cell_selection.choose`; none: all.
         baseline: label of the cell that the others are compared with.
-        contrast: `FACTOR:LEVEL-LEVEL`, of which matched cells are compared, see `cell_selection.match_cells`.
+        contrast: `FACTOR:LEVEL-LEVEL`, of which matched cells are compared, see
+            `cell_selection.match_cells`.
         quick: whether the curves of unfinished runs are included.
         command: the command line that makes the report.
 
@@ -94,8 +95,12 @@ def build_report(
         pairs=family.pairs,
         effects=effects,
         claims=list(findings.describe(summaries, family, factors, effects)),
-        warnings=list(dict.fromkeys([*selection.warnings, *incomparable, *results.problems[:MAX_PROBLEMS]])),
-        missing=list(report_warnings.find_missing(summaries, experiments, results.runs["experiment"])),
+        warnings=list(
+            dict.fromkeys([*selection.warnings, *incomparable, *results.problems[:MAX_PROBLEMS]])
+        ),
+        missing=list(
+            report_warnings.find_missing(summaries, experiments, results.runs["experiment"])
+        ),
         provenance=origin,
         reference=family.reference,
         declared=family.declared,
@@ -112,13 +117,19 @@ def _select(
     *,
     quick: bool,
 ) -> Selection:
-    """Return the wanted cells, all without any, and the baseline; both must have a finished run unless `quick`."""
+    """Return the wanted cells, all without any, and the baseline; both must have a finished run
+    unless `quick`.
+    """
     cells = group(results.runs)
     selected = choose(cells, wanted) if wanted else cells
     reference = find_cell(cells, baseline, "baseline", preferred=selected) if baseline else None
     selected = selected if reference is None or reference in selected else [reference, *selected]
     if not quick:
-        _refuse_unfinished(selected, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
+        _refuse_unfinished(
+            selected,
+            f"experiment={','.join(experiments)}",
+            "; report=quick shows what there is so far",
+        )
         if reference is not None:
             _refuse_unfinished([reference], f"baseline={baseline}")
     labelled, factors = relabel(selected)
@@ -133,10 +144,16 @@ def _select(
         contrasts, unknown, warnings = match_cells(labelled, factors, contrast), [], []
         words = "matched pairs"
         source = f"of cells that differ in one factor alone, {contrast}"
-    usable = [(a, b) for a, b in contrasts if {id(a), id(b)} <= ids.keys() and len(a.done) and len(b.done)]
-    if untested := [*unknown, *(f"{a.label} minus {b.label}" for a, b in contrasts if (a, b) not in usable)]:
+    usable = [
+        (a, b) for a, b in contrasts if {id(a), id(b)} <= ids.keys() and len(a.done) and len(b.done)
+    ]
+    if untested := [
+        *unknown,
+        *(f"{a.label} minus {b.label}" for a, b in contrasts if (a, b) not in usable),
+    ]:
         warnings.append(
-            f"{len(untested)} of {len(unknown) + len(contrasts)} {words} lack a selected cell with finished "
+            f"{len(untested)} of {len(unknown) + len(contrasts)} {words} lack a selected cell with "
+            "finished "
             f"runs, and p is corrected for the others only: {report_warnings.list_names(untested)}."
         )
     return Selection(
@@ -165,7 +182,11 @@ def _choose_shown(cells: Sequence[Cell], always: Sequence[str | None]) -> list[s
     kept = {cell.id for cell in cells if cell.id in always}
     ranked = sorted(
         cells,
-        key=lambda cell: (cell.id not in kept, None not in cell.settings.values(), -(cell.success.value or -1.0)),
+        key=lambda cell: (
+            cell.id not in kept,
+            None not in cell.settings.values(),
+            -(cell.success.value or -1.0),
+        ),
     )
     best = {cell.id for cell in ranked[: max(SHOWN, len(kept))]}
     return [cell.id for cell in cells if cell.id in best]
@@ -176,20 +197,31 @@ def _write_notes(report: ReportData) -> Iterator[str]:
     cells = report.cells
     if len(report.shown) < len(cells):
         yield (
-            f"Figures show {len(report.shown)} of {len(cells)} cells: baseline, contrasts, controls, and the best; "
+            f"Figures show {len(report.shown)} of {len(cells)} cells: baseline, contrasts, "
+            "controls, and the best; "
             "tables have all."
         )
     if len(report.drawn_pairs) < len(report.pairs):
         yield (
-            f"No figure shows the {len(report.pairs)} pairs of cells; the table has them. baseline=CELL and "
+            f"No figure shows the {len(report.pairs)} pairs of cells; the table has them. "
+            "baseline=CELL and "
             "contrast=FACTOR:LEVEL-LEVEL compare fewer; choose these before you see the results."
         )
-    if outside := [cell.label for cell in cells if None in cell.settings.values()] if report.effects else []:
-        yield f"Not part of the main effects, without a value of every factor: {report_warnings.list_names(outside)}."
+    if (
+        outside := [cell.label for cell in cells if None in cell.settings.values()]
+        if report.effects
+        else []
+    ):
+        yield (
+            "Not part of the main effects, without a value of every factor: "
+            f"{report_warnings.list_names(outside)}."
+        )
 
 
 def _collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:
-    """Return the provenance of the cells of a report; `left_out` are labels of the experiments' other cells."""
+    """Return the provenance of the cells of a report; `left_out` are labels of the experiments'
+    other cells.
+    """
     runs = pd.concat([cell.runs for cell in cells])
     versions = {
         str(column).removeprefix(VERSION): _count_values(runs[column])
@@ -205,7 +237,11 @@ def _collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri:
         commits=_count_values(runs["git_commit"].str[:SHORT_COMMIT] + marks),
         machines=_count_values(runs["cpu"]),
         difference=difference,
-        common={key: value for key, value in configs[0].items() if key not in difference and can_matter(key)},
+        common={
+            key: value
+            for key, value in configs[0].items()
+            if key not in difference and can_matter(key)
+        },
         unfinished=[run for cell in cells for run in _list_unfinished(cell)],
         uri=uri,
         left_out=list(left_out),

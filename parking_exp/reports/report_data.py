@@ -1,4 +1,5 @@
-"""Dataclasses of a report's content, which `report.json` holds as it is; `report_builder` makes them.
+"""Dataclasses of a report's content, which `report.json` holds as it is; `report_builder` makes
+them.
 
 Rates are in 0 ... 1. None: not known.
 """
@@ -32,11 +33,15 @@ class RunSummary:
     high: float | None
     episode_steps: float | None
     cpu_s: float | None
-    steps_to_90: float | None = None  # first env step of 90 % held, or the last from which they could have been
+    steps_to_90: float | None = (
+        None  # first env step of 90 % held, or the last from which they could have been
+    )
     reached_90: bool = False
     cpu_s_to_90: float | None = None  # None where they were not held
     area: float | None = None  # under the learning curve
-    further: Mapping[str, float | None] = field(default_factory=dict)  # other metrics that reports have
+    further: Mapping[str, float | None] = field(
+        default_factory=dict
+    )  # other metrics that reports have
 
     def metric(self, name: str) -> float | None:
         """Return a metric by its name; None where the run has none."""
@@ -53,7 +58,9 @@ class Curve:
     high: Sequence[float | None]
     n: Sequence[int]  # seeds
     failure: Sequence[float | None]
-    seeds: Sequence[tuple[int, Sequence[int], Sequence[float | None]]]  # (seed, steps, rates) of each run
+    seeds: Sequence[
+        tuple[int, Sequence[int], Sequence[float | None]]
+    ]  # (seed, steps, rates) of each run
 
 
 @dataclass(frozen=True)
@@ -77,20 +84,30 @@ class Cell:
     reaching_95: Proportion  # seeds
     seeds: Sequence[RunSummary] = ()
     curve: Curve | None = None  # None without evaluations during training, as `survival`
-    survival: SurvivalCurve | None = None  # of the env steps until three evaluations in a row have 90 %
-    median_cpu_s: float | None = None  # CPU-seconds to 90 %; None where fewer than half of the seeds reached it
+    survival: SurvivalCurve | None = (
+        None  # of the env steps until three evaluations in a row have 90 %
+    )
+    median_cpu_s: float | None = (
+        None  # CPU-seconds to 90 %; None where fewer than half of the seeds reached it
+    )
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
     note: str | None = None  # a sentence about an interval that is too narrow or missing
     further: Mapping[str, Interval] = field(default_factory=dict)  # other metrics that reports have
 
     def metric(self, name: str) -> Interval:
-        """Return the mean of a metric by its name; the interval is empty where the cell has none."""
-        return getattr(self, name) if hasattr(self, name) else self.further.get(name, Interval(None))
+        """Return the mean of a metric by its name; the interval is empty where the cell has
+        none.
+        """
+        return (
+            getattr(self, name) if hasattr(self, name) else self.further.get(name, Interval(None))
+        )
 
     @property
     def failure(self) -> Interval:
         """Rate of the episodes that ended badly, whatever its task calls them."""
-        return next((self.further[name] for name in FAILURES if name in self.further), Interval(None))
+        return next(
+            (self.further[name] for name in FAILURES if name in self.further), Interval(None)
+        )
 
 
 @dataclass(frozen=True)
@@ -101,13 +118,16 @@ class Pair:
     b: str
     difference: Interval  # mean of a minus mean of b
     p: float | None  # of the difference
-    p_corrected: float | None  # corrected for the pairs of the report, as the interval of the difference
+    p_corrected: (
+        float | None
+    )  # corrected for the pairs of the report, as the interval of the difference
     rank_p: float | None  # of Mann and Whitney's test
     rank_p_holm: float | None
     improvement: float  # probability that a seed of a is better than one of b, ties counted half
     log_rank_p: float | None  # of the times to 90 %; None where none was reached
     log_rank_p_holm: float | None
-    verdict: Verdict  # `a` or `b` is better (p_corrected < 0.05), `same`: not significant, `unknown`: too few seeds
+    # `a` or `b` is better (p_corrected < 0.05), `same`: not significant, `unknown`: too few seeds
+    verdict: Verdict
 
     def reverse(self) -> "Pair":
         """Return the comparison of b with a."""
@@ -116,7 +136,12 @@ class Pair:
         difference = replace(self.difference, value=value, low=low, high=high)
         verdict = cast(Verdict, {"a": "b", "b": "a"}.get(self.verdict, self.verdict))
         return replace(
-            self, a=self.b, b=self.a, difference=difference, improvement=1 - self.improvement, verdict=verdict
+            self,
+            a=self.b,
+            b=self.a,
+            difference=difference,
+            improvement=1 - self.improvement,
+            verdict=verdict,
         )
 
 
@@ -170,7 +195,9 @@ class ReportData:
     missing: Sequence[str]  # what has no result (yet)
     provenance: Provenance
     notes: Sequence[str] = field(default_factory=tuple)
-    reference: str | None = None  # id of the cell in all pairs: the baseline or, of many cells, the best; None: none
+    reference: str | None = (
+        None  # id of the cell in all pairs: the baseline or, of many cells, the best; None: none
+    )
     declared: bool = False  # whether the pairs are contrasts
     tuning: "Tuning | None" = None
 
@@ -190,12 +217,16 @@ class ReportData:
 
     @property
     def drawn_pairs(self) -> Sequence[Pair]:
-        """The pairs that figures show: none where all pairs of many cells were compared, which nobody has asked for."""
+        """The pairs that figures show: none where all pairs of many cells were compared, which
+        nobody has asked for.
+        """
         chosen = self.declared or self.reference is not None
         return self.pairs if chosen or len(self.pairs) <= MAX_DRAWN_PAIRS else ()
 
     def plain(self) -> dict[str, Any]:
-        """Return everything as JSON can hold it; further metrics of cells and seeds stand beside the others."""
+        """Return everything as JSON can hold it; further metrics of cells and seeds stand beside
+        the others.
+        """
         plain = asdict(self)
         for cell in plain["cells"]:
             cell.update(cell.pop("further") | cell.pop("task_data"))

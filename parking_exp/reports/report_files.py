@@ -19,7 +19,9 @@ from parking_exp.runs.atomic_files import write_atomically
 
 
 def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> None:
-    """Write all files of a report; `figures` and `tables` are replaced as a whole, and the page is the last."""
+    """Write all files of a report; `figures` and `tables` are replaced as a whole, and the page is
+    the last.
+    """
     numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as new:
         figures, tables = Path(new) / "figures", Path(new) / "tables"
@@ -45,12 +47,22 @@ def write_tables(contents: Sequence[SectionContent], folder: Path) -> None:
 
 def to_csv(table: Table) -> str:
     """Return a table as CSV: rates in 0 ... 1, nothing where nothing is known."""
-    frame = pd.DataFrame(list(table.rows)).rename(columns=escape_formula).replace([np.inf, -np.inf], np.nan)
+    frame = (
+        pd.DataFrame(list(table.rows))
+        .rename(columns=escape_formula)
+        .replace([np.inf, -np.inf], np.nan)
+    )
     texts = frame.select_dtypes(exclude="number").columns
     frame[texts] = frame[texts].map(escape_formula)
     return str(frame.to_csv(index=False, lineterminator="\n", float_format="%.10g"))
 
 
 def escape_formula(value: Any) -> Any:
-    """Keep spreadsheets from running a text as a formula: an apostrophe before `=`, `+`, `-`, `@`, tab and return."""
-    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+    """Keep spreadsheets from running a text as a formula: an apostrophe before `=`, `+`, `-`, `@`,
+    tab and return.
+    """
+    return (
+        f"'{value}"
+        if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r"))
+        else value
+    )

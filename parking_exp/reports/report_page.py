@@ -19,7 +19,9 @@ MARKERS = {"o": "●", "s": "■", "^": "▲", "D": "◆", "v": "▼", "P": "✚
 
 
 def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
-    """Return `index.html`. Everything is escaped; pictures are embedded as images, in which nothing is executed."""
+    """Return `index.html`. Everything is escaped; pictures are embedded as images, in which nothing
+    is executed.
+    """
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=True,
@@ -27,8 +29,13 @@ def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": formats.number, "base64": lambda data: base64.b64encode(data).decode()}
-    style, script = (TEMPLATES.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    environment.filters |= {
+        "number": formats.number,
+        "base64": lambda data: base64.b64encode(data).decode(),
+    }
+    style, script = (
+        TEMPLATES.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js")
+    )
     looks = {cell: cell_style(cell) for cell in report.shown}
     return environment.get_template("index.html.j2").render(
         report=report,

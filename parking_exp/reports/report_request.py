@@ -40,7 +40,11 @@ class ReportRequest(OutputConfig):
     @property
     def experiments(self) -> list[str] | None:
         """Names of experiments, None for all."""
-        return [self.experiment_name] if isinstance(self.experiment_name, str) else self.experiment_name
+        return (
+            [self.experiment_name]
+            if isinstance(self.experiment_name, str)
+            else self.experiment_name
+        )
 
     @property
     def cells_asked(self) -> list[str]:
@@ -48,16 +52,26 @@ class ReportRequest(OutputConfig):
         return [self.cells] if isinstance(self.cells, str) else self.cells or []
 
 
-KEYS = {"experiment", "tracking.uri", *(field.alias or name for name, field in ReportRequest.model_fields.items())}
+KEYS = {
+    "experiment",
+    "tracking.uri",
+    *(field.alias or name for name, field in ReportRequest.model_fields.items()),
+}
 """Keys of the command as users write them."""
 
 
 def validate_report(config: DictConfig) -> ReportRequest:
     """Validate a composed config."""
     request = parse(ReportRequest, config)
-    of_stores = {"experiment": request.experiments, "tracking.uri": request.tracking.uri, "export": request.export}
+    of_stores = {
+        "experiment": request.experiments,
+        "tracking.uri": request.tracking.uri,
+        "export": request.export,
+    }
     if request.source and (beside := [key for key, value in of_stores.items() if value]):
-        raise ConfigError(f"{beside[0]}: cannot be combined with from={request.source}; leave one of them out")
+        raise ConfigError(
+            f"{beside[0]}: cannot be combined with from={request.source}; leave one of them out"
+        )
     if request.contrast is not None:
         _check_contrast(request.contrast, request.baseline)
     if keys := [text.partition("=")[0] for text in request.cells_asked if "=" in text]:
@@ -67,19 +81,33 @@ def validate_report(config: DictConfig) -> ReportRequest:
 
 def _check_contrast(contrast: str, baseline: str | None) -> None:
     if baseline is not None:
-        raise ConfigError(f"contrast: cannot be combined with baseline={baseline}; leave one of them out")
+        raise ConfigError(
+            f"contrast: cannot be combined with baseline={baseline}; leave one of them out"
+        )
     if not re.fullmatch(r"[^:]+:.+-.+", contrast):
         example = "contrast=buffer:her_future-replay"
-        raise ConfigError(f"contrast={contrast}: write a factor and two of its levels, e.g. {example}")
+        raise ConfigError(
+            f"contrast={contrast}: write a factor and two of its levels, e.g. {example}"
+        )
 
 
 def _refuse_misspelt(keys: Sequence[str]) -> None:
-    """Refuse what is nearly a key of this command or of a run's config; the class of a run may have any arguments."""
+    """Refuse what is nearly a key of this command or of a run's config; the class of a run may have
+    any arguments.
+    """
     run = settings_of(OmegaConf.to_container(compose_configs("config", [])[0]))  # type: ignore[arg-type]
     known = set(KEYS)
     for path in (key.split(".") for key in run):
-        known |= {".".join(path[first:last]) for first in range(len(path)) for last in range(first + 1, len(path) + 1)}
+        known |= {
+            ".".join(path[first:last])
+            for first in range(len(path))
+            for last in range(first + 1, len(path) + 1)
+        }
     for key in keys:
         is_argument = key.startswith(("algorithm.", "buffer."))
-        if key not in known and not is_argument and (hint := did_you_mean(key, known, cutoff=SIMILAR)):
+        if (
+            key not in known
+            and not is_argument
+            and (hint := did_you_mean(key, known, cutoff=SIMILAR))
+        ):
             raise ConfigError(f"{key}: there is no such key{hint}")

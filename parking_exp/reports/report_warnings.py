@@ -13,10 +13,14 @@ ENOUGH_SEEDS = 10
 FEW_NAMES = 4
 MIXED = {
     "total_timesteps": "Budgets are mixed: cells were trained for {} env steps.",
-    "evaluation.final_n_scenes": "Evaluations are mixed: final models were evaluated in {} episodes.",
+    "evaluation.final_n_scenes": (
+        "Evaluations are mixed: final models were evaluated in {} episodes."
+    ),
     "evaluation.first_scene": "Evaluations are mixed: their episodes begin at seeds {}.",
     "evaluation.n_scenes": "Evaluations are mixed: those during training had {} episodes.",
-    "evaluation.every_n_steps": "Evaluations are mixed: every {} env steps, which changes times to 90 %.",
+    "evaluation.every_n_steps": (
+        "Evaluations are mixed: every {} env steps, which changes times to 90 %."
+    ),
 }
 """Config keys that should be the same in all cells, and the warning where they are not."""
 
@@ -28,26 +32,42 @@ def list_names(names: Sequence[str]) -> str:
     return f"{', '.join(few)} and {last}" if few else last
 
 
-def find_incomparable(runs: Sequence[CellRuns], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
+def find_incomparable(
+    runs: Sequence[CellRuns], cells: Sequence[Cell], origin: Provenance
+) -> Iterator[str]:
     """Yield what makes numbers hard to compare."""
     if few := [cell.success.n for cell in cells if cell.success.n < ENOUGH_SEEDS]:
         some = f"{len(few)} of {plural(len(cells), 'cell')}"
-        yield f"Exploratory: fewer than {ENOUGH_SEEDS} finished seeds in {some} (the fewest: {min(few)})."
+        yield (
+            f"Exploratory: fewer than {ENOUGH_SEEDS} finished seeds in {some} (the fewest: "
+            f"{min(few)})."
+        )
     yield from _find_mixed(runs, origin)
     for note in dict.fromkeys(cell.note for cell in cells if cell.note):
         yield f"{list_names([cell.label for cell in cells if cell.note == note])}: {note}"
     for cell in runs:
         if cell.n_repeated:
-            yield f"{quoted_label(cell.label)}: {plural(cell.n_repeated, 'run')} left out: another has the same seed."
+            yield (
+                f"{quoted_label(cell.label)}: {plural(cell.n_repeated, 'run')} left out: another "
+                "has the same seed."
+            )
         if blank := int(cell.done["success_rate"].isna().sum()):
-            yield f"{quoted_label(cell.label)}: {plural(blank, 'run')} left out: no final success rate."
+            yield (
+                f"{quoted_label(cell.label)}: {plural(blank, 'run')} left out: no final success "
+                "rate."
+            )
     # What ends a cell's name is a hash of its config.
     for name in dict.fromkeys(cell.name for cell in runs):
         if len(same := [cell.label for cell in runs if cell.name == name]) > 1:
-            yield f"{list_names(same)} have the same config: runs with equal seeds are duplicates, not replicates."
+            yield (
+                f"{list_names(same)} have the same config: runs with equal seeds are duplicates, "
+                "not replicates."
+            )
 
 
-def find_missing(cells: Sequence[Cell], experiments: Iterable[str], stored: Iterable[str]) -> Iterator[str]:
+def find_missing(
+    cells: Sequence[Cell], experiments: Iterable[str], stored: Iterable[str]
+) -> Iterator[str]:
     """Yield which runs have no result, and which experiments have no runs."""
     total = sum((Counter(cell.counts) for cell in cells), Counter())
     waiting = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
@@ -68,20 +88,28 @@ def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
     if any(commit.endswith("+") for commit in origin.commits):
         yield "Some runs were made from files that differ from their commit (marked +)."
     if len(origin.machines) > 1:
-        yield f"Machines are mixed, so that CPU-seconds do not compare: {list_names(list(origin.machines))}."
+        yield (
+            "Machines are mixed, so that CPU-seconds do not compare: "
+            f"{list_names(list(origin.machines))}."
+        )
     for key, words in MIXED.items():
         values = list(dict.fromkeys(value for cell in runs for value in _values_of_runs(cell, key)))
         if len(values) > 1:
             yield words.format(_list_values(values))
     keys = [key for key in differing_keys([cell.config for cell in runs]) if key.startswith("env.")]
     if mixed := [key for key in keys if key not in TRAINING_ONLY]:
-        yield f"Tasks are mixed: cells differ in {list_names(mixed)}; their rates are not of the same episodes."
+        yield (
+            f"Tasks are mixed: cells differ in {list_names(mixed)}; their rates are not of the "
+            "same episodes."
+        )
     if len({tuple(cell.done["seed"]) for cell in runs if len(cell.done)}) > 1:
         yield "Cells do not have the same seeds."
 
 
 def _values_of_runs(cell: CellRuns, key: str) -> list[Setting]:
-    """Return the values of a config key; the runs of a cell may differ in the settings of their final evaluation."""
+    """Return the values of a config key; the runs of a cell may differ in the settings of their
+    final evaluation.
+    """
     if key == "evaluation.final_n_scenes":
         return [int(number) for number in cell.runs["n_scenes"].dropna()]
     return [cell.config.get(key)]

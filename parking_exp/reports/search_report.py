@@ -1,4 +1,5 @@
-"""The hyperparameter search of a report: read from its experiment's folder, in sentences and tables.
+"""The hyperparameter search of a report: read from its experiment's folder, in sentences and
+tables.
 
 Optuna is imported only if an experiment has a search.
 """
@@ -42,7 +43,8 @@ class Tuning:
         n_trials: number of trials requested.
         objective: its name; it is maximised.
         n_seeds: number of tuning seeds of each trial.
-        parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json` describes it.
+        parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json`
+            describes it.
         trials: trial 0 and those that have begun, by number.
         retested: trials that were trained again on test seeds, best first.
     """
@@ -59,7 +61,9 @@ class Tuning:
 
 
 def add_search(report: ReportData, output_dir: Path) -> ReportData:
-    """Return a report with the first search of its experiments, or a warning where that cannot be read."""
+    """Return a report with the first search of its experiments, or a warning where that cannot be
+    read.
+    """
     folders = [output_dir / name for name in report.experiments if re.fullmatch(NAME, name)]
     folder = next((folder for folder in folders if (folder / SEARCH_FILE).exists()), None)
     if folder is None:
@@ -73,7 +77,9 @@ def add_search(report: ReportData, output_dir: Path) -> ReportData:
 
 
 def add_tuning(report: ReportData, tuning: Tuning) -> ReportData:
-    """Return a report with a search, a claim on its retrained trials, and a warning about comparing its cells."""
+    """Return a report with a search, a claim on its retrained trials, and a warning about comparing
+    its cells.
+    """
     claims, remedy = [*report.claims], "none was retrained on test seeds"
     if tuning.retested:
         best, remedy = tuning.retested[0], "compare the trials retrained on test seeds"
@@ -84,12 +90,17 @@ def add_tuning(report: ReportData, tuning: Tuning) -> ReportData:
             f"{formats.rate_interval(mean_interval(best.test))}; "
             f"tuning minus test {formats.points_interval(_compare_seeds(best))}.",
         )
-    warning = f"Cells of a search include runs on the tuning seeds that trials were selected by; {remedy}."
+    warning = (
+        "Cells of a search include runs on the tuning seeds that trials were selected by; "
+        f"{remedy}."
+    )
     return replace(report, tuning=tuning, claims=claims, warnings=[*report.warnings, warning])
 
 
 def read_tuning(folder: Path, stored: "StoredSearch") -> Tuning:
-    """Return the search in an experiment's folder; ResultsError if its retrained trials are damaged."""
+    """Return the search in an experiment's folder; ResultsError if its retrained trials are
+    damaged.
+    """
     try:
         retested = read_retest(folder)
     except ValidationError as error:
@@ -105,7 +116,10 @@ def read_tuning(folder: Path, stored: "StoredSearch") -> Tuning:
         n_trials=stored.n_trials,
         objective=OBJECTIVE,
         n_seeds=len(search.tuning_seeds),
-        parameters={name: _describe_distribution(distribution) for name, distribution in distributions.items()},
+        parameters={
+            name: _describe_distribution(distribution)
+            for name, distribution in distributions.items()
+        },
         trials=stored.trials,
         retested=retested,
     )
@@ -134,7 +148,8 @@ def describe_search(report: ReportData) -> Iterator[str]:
     by_state["pending"] += tuning.n_trials - len(tuning.trials)
     states = ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
     text = (
-        f"{plural(tuning.n_trials, 'trial')} (sampler {tuning.sampler}, pruner {tuning.pruner or 'none'}): {states}. "
+        f"{plural(tuning.n_trials, 'trial')} (sampler {tuning.sampler}, pruner "
+        f"{tuning.pruner or 'none'}): {states}. "
         f"Objective: {tuning.objective}, mean over {plural(tuning.n_seeds, 'tuning seed')}."
     )
     for best in rank_trials(tuning.trials)[:1]:
@@ -149,10 +164,19 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         return
     parameters = dict.fromkeys(tuning.parameters)
     rows = [
-        {tuning.objective: trial.value, **parameters, **trial.parameters, **record(trial), "label": trial.label}
+        {
+            tuning.objective: trial.value,
+            **parameters,
+            **trial.parameters,
+            **record(trial),
+            "label": trial.label,
+        }
         for trial in tuning.trials
     ]
-    is_number = {name: kind.get("name") != "CategoricalDistribution" for name, kind in tuning.parameters.items()}
+    is_number = {
+        name: kind.get("name") != "CategoricalDistribution"
+        for name, kind in tuning.parameters.items()
+    }
     yield Table(
         "trials",
         rows,
@@ -160,8 +184,15 @@ def trial_table(report: ReportData) -> Iterator[Table]:
             column("Trial", "number", formats.number, numeric=False),
             column("State", "state", numeric=False),
             column(tuning.objective, tuning.objective, formats.percent),
-            *(column(name, name, _write_parameter, numeric=is_number[name]) for name in tuning.parameters),
-            *([column("Why it failed", "reason", numeric=False)] if any(row["reason"] for row in rows) else []),
+            *(
+                column(name, name, _write_parameter, numeric=is_number[name])
+                for name in tuning.parameters
+            ),
+            *(
+                [column("Why it failed", "reason", numeric=False)]
+                if any(row["reason"] for row in rows)
+                else []
+            ),
         ],
         f"Trials: means over {tuning.n_seeds} tuning seeds (%), and parameters.",
         latex=True,
@@ -170,7 +201,13 @@ def trial_table(report: ReportData) -> Iterator[Table]:
 
 def _write_parameter(value: Any) -> str:
     """Write a parameter, which trial 0 may lack."""
-    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else formats.setting(value)
+    return (
+        ""
+        if value is None
+        else f"{value:.3g}"
+        if isinstance(value, float)
+        else formats.setting(value)
+    )
 
 
 def retest_table(report: ReportData) -> Iterator[Table]:
@@ -199,7 +236,9 @@ def retest_table(report: ReportData) -> Iterator[Table]:
             interval_column("Test seeds", "test"),
             interval_column("Tuning minus test", "difference", formats.points_interval),
         ],
-        f"The best trials and trial 0, the unchanged config, trained again on seeds that no trial was selected by: "
-        f"{tuning.objective} (%), with 95 % intervals. Values on tuning seeds are optimistic for the best of many.",
+        "The best trials and trial 0, the unchanged config, trained again on seeds that no trial "
+        "was selected by: "
+        f"{tuning.objective} (%), with 95 % intervals. Values on tuning seeds are optimistic for "
+        "the best of many.",
         latex=True,
     )

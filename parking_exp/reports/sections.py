@@ -11,9 +11,17 @@ import matplotlib.figure
 
 from parking_exp.figure_style import Drawing, clean, report_style
 from parking_exp.reports.cell_summaries import HOLD
-from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
+from parking_exp.reports.figures.cell_figures import (
+    draw_final_success,
+    draw_learning_curves,
+    draw_time_to_90,
+)
 from parking_exp.reports.figures.comparison_figures import draw_pairs, draw_two_factors
-from parking_exp.reports.figures.study_figures import draw_history, draw_parameter_importance, draw_slices
+from parking_exp.reports.figures.study_figures import (
+    draw_history,
+    draw_parameter_importance,
+    draw_slices,
+)
 from parking_exp.reports.methods import describe_methods
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import describe_search, retest_table, trial_table
@@ -60,14 +68,17 @@ def what_was_run(report: ReportData) -> Iterable[str]:
 
 
 def explain_few_evaluations(report: ReportData) -> Iterable[str]:
-    """Yield why there are no learning curves or times to 90 %, where runs were evaluated too rarely."""
+    """Yield why there are no learning curves or times to 90 %, where runs were evaluated too
+    rarely.
+    """
     curves = [curve for cell in report.cells if (curve := cell.curve)]
     n_evaluations = [len(steps) for curve in curves for _, steps, _ in curve.seeds]
     most = max(n_evaluations, default=HOLD)
     if most < HOLD:
         absent = "learning curves and times to 90 %" if most == 1 else "times to 90 %"
         yield (
-            f"There are no {absent}: no run was evaluated more than {'once' if most == 1 else 'twice'}. "
+            f"There are no {absent}: no run was evaluated more than "
+            f"{'once' if most == 1 else 'twice'}. "
             "A smaller evaluation.every_n_steps evaluates runs more often."
         )
 
@@ -122,15 +133,24 @@ SECTIONS = (
         "provenance",
         "What was run",
         text=what_was_run,
-        tables=[report_tables.versions, report_tables.config, report_tables.unfinished, report_tables.common],
+        tables=[
+            report_tables.versions,
+            report_tables.config,
+            report_tables.unfinished,
+            report_tables.common,
+        ],
     ),
     Section("methods", "How it was computed", text=describe_methods),
 )
 
 
 def sections_of(report: ReportData) -> list[Section]:
-    """Return the sections that a report may have: SECTIONS, and in their middle those of its tasks."""
-    task_sections = [_task_section(section) for task in task_reports(report.tasks) for section in task.sections]
+    """Return the sections that a report may have: SECTIONS, and in their middle those of its
+    tasks.
+    """
+    task_sections = [
+        _task_section(section) for task in task_reports(report.tasks) for section in task.sections
+    ]
     middle = [section.id for section in SECTIONS].index("seeds")
     return [*SECTIONS[:middle], *task_sections, *SECTIONS[middle:]]
 
@@ -139,13 +159,20 @@ def _task_section(section: TaskSection) -> Section:
     def rows(report: ReportData) -> Iterable[Table]:
         name = section.table or ""
         cells = [(cell, cell.task_data.get(name, ())) for cell in report.cells]
-        yield Table(name, [{**cell_record(cell), **row} for cell, its_rows in cells for row in its_rows])
+        yield Table(
+            name, [{**cell_record(cell), **row} for cell, its_rows in cells for row in its_rows]
+        )
 
     def on_cells(figure: TaskFigure) -> Figure:
         return Figure(figure.name, figure.title, lambda report: figure.draw(report.shown_cells))
 
     tables = [rows] if section.table else []
-    return Section(section.id, section.title, tables=tables, figures=[on_cells(figure) for figure in section.figures])
+    return Section(
+        section.id,
+        section.title,
+        tables=tables,
+        figures=[on_cells(figure) for figure in section.figures],
+    )
 
 
 @dataclass(frozen=True)
@@ -201,7 +228,9 @@ def draw(
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
     with report_style(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a box stands for what the font lacks; browsers have other fonts
+        warnings.filterwarnings(
+            "ignore", "Glyph"
+        )  # a box stands for what the font lacks; browsers have other fonts
         for section in sections_of(report) if sections is None else sections:
             for kind in section.figures:
                 for number, (figure, caption) in enumerate(kind.draw(report), start=1):
@@ -218,5 +247,7 @@ def _save(figure: matplotlib.figure.Figure, stem: Path, formats: Sequence[str]) 
         if kind == "svg":
             stem.with_name(f"{stem.name}.svg").write_bytes(drawing.getvalue())
         else:
-            figure.savefig(stem.with_name(f"{stem.name}.{kind}"), format=kind, metadata=_METADATA[kind])
+            figure.savefig(
+                stem.with_name(f"{stem.name}.{kind}"), format=kind, metadata=_METADATA[kind]
+            )
     return drawing.getvalue()

@@ -1,7 +1,9 @@
-"""Exports of results: their frames as small gzipped CSV files, which are analysed again without the store.
+"""Exports of results: their frames as small gzipped CSV files, which are analysed again without the
+store.
 
-    write_export(load("her_ablation"), "docs/results/her_ablation")
-    results = read_export("docs/results/her_ablation")  # the frames of `parking_exp.results`, as `load` gives them
+    write_export(load("her_ablation"), "docs/results/her_ablation") results =
+    read_export("docs/results/her_ablation")  # the frames of `parking_exp.results`, as `load` gives
+    them
 
 `help(parking_exp.results)` has its files and their columns.
 """
@@ -19,7 +21,14 @@ import pandas as pd
 from parking_exp.config.cell_labels import setting_text
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
-from parking_exp.results.frames import FINAL, RUN_TYPES, TEXT, Results, as_results_error, config_column
+from parking_exp.results.frames import (
+    FINAL,
+    RUN_TYPES,
+    TEXT,
+    Results,
+    as_results_error,
+    config_column,
+)
 from parking_exp.results.run_logs import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
 from parking_exp.runs.atomic_files import read_json, replacing, write_json
 from parking_exp.tasks.metrics import EPISODE_SEED
@@ -30,13 +39,18 @@ LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.trackin
 """Columns of runs that name a place on the machine; an export has none of them."""
 LABEL_COLUMNS = ["config.label", "config.contrasts"]
 """Columns of runs with labels, in which slashes separate no folders."""
-PATH = re.compile(r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?")
+PATH = re.compile(
+    r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?"
+)
 
 
-def write_export(results: Results, folder: str | Path, about: Mapping[str, Any] | None = None) -> Path:
+def write_export(
+    results: Results, folder: str | Path, about: Mapping[str, Any] | None = None
+) -> Path:
     """Write an export of results, in place of an earlier one, and return its folder.
 
-    The same results give the same bytes. An export that is interrupted has no `report.json` and can't be read.
+    The same results give the same bytes. An export that is interrupted has no `report.json` and
+    can't be read.
 
     Args:
         about: further entries of `report.json`.
@@ -54,12 +68,16 @@ def write_export(results: Results, folder: str | Path, about: Mapping[str, Any] 
         "runs.csv.gz": _without_unknown(_exported_runs(results.runs), FINAL.values()),
         "curves.csv.gz": _without_unknown(results.curves, CURVE_KEYS.values()),
         # One column per run: equal columns compress to almost nothing.
-        "outcomes.csv.gz": final.pivot(index=EPISODE_SEED, columns="run_id", values="outcome").reset_index(),
+        "outcomes.csv.gz": final.pivot(
+            index=EPISODE_SEED, columns="run_id", values="outcome"
+        ).reset_index(),
     }
     for name, table in tables.items():
         text = table.to_csv(index=False, float_format="%.6g")
         with replacing(folder / name) as temporary:  # writes through no link
-            temporary.write_bytes(gzip.compress(text.encode(), mtime=1))  # the same content gives the same bytes
+            temporary.write_bytes(
+                gzip.compress(text.encode(), mtime=1)
+            )  # the same content gives the same bytes
     sentences = [without_paths(problem) for problem in results.problems]
     write_json(folder / REPORT, {"problems": sentences, **(about or {})})
     return folder
@@ -78,8 +96,12 @@ def read_export(folder: str | Path) -> Results:
         about = read_json(folder / REPORT)
         problems = tuple(map(str, about["problems"]))
         runs = _read_runs(folder / "runs.csv.gz")
-        curves = pd.read_csv(folder / "curves.csv.gz", dtype=CURVE_TYPES, float_precision="round_trip")
-        curves = curves[curves["run_id"].isin(runs["run_id"])].sort_values(["run_id", "step"], ignore_index=True)
+        curves = pd.read_csv(
+            folder / "curves.csv.gz", dtype=CURVE_TYPES, float_precision="round_trip"
+        )
+        curves = curves[curves["run_id"].isin(runs["run_id"])].sort_values(
+            ["run_id", "step"], ignore_index=True
+        )
         episodes = _read_episodes(folder / "outcomes.csv.gz", runs)
         return Results(runs, curves.reindex(columns=[*CURVE_TYPES]), episodes, uri, problems, about)
 
@@ -89,9 +111,13 @@ def refuse_foreign(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"export={folder}: a file is in the way")
     names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
-    others = [name for name in names if name not in FILES and not name.startswith(".tmp-")]  # of a killed export
+    others = [
+        name for name in names if name not in FILES and not name.startswith(".tmp-")
+    ]  # of a killed export
     if others:
-        raise ConfigError(f"export={folder}: it holds other files, e.g. {others[0]}; name a folder of its own")
+        raise ConfigError(
+            f"export={folder}: it holds other files, e.g. {others[0]}; name a folder of its own"
+        )
 
 
 def without_paths(words: str) -> str:
@@ -100,17 +126,25 @@ def without_paths(words: str) -> str:
 
 
 def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return runs without columns that name a place, with the config as text, like MLflow's parameters."""
+    """Return runs without columns that name a place, with the config as text, like MLflow's
+    parameters.
+    """
     kept = runs.drop(columns=[name for name in LOCAL_COLUMNS if name in runs])
     config = kept.filter(regex=r"^config\.").astype(object)
     kept = kept.assign(**config.where(config.notna(), None).map(setting_text))
     texts = kept.select_dtypes(["object", "string"]).drop(columns=LABEL_COLUMNS, errors="ignore")
-    return kept.assign(**{str(name): texts[name].map(without_paths, na_action="ignore") for name in texts})
+    return kept.assign(
+        **{str(name): texts[name].map(without_paths, na_action="ignore") for name in texts}
+    )
 
 
 def _without_unknown(frame: pd.DataFrame, metrics: Iterable[str]) -> pd.DataFrame:
-    """Return a frame without the metrics that none of its runs has, such as other tasks'; reading adds them again."""
-    return frame.drop(columns=[name for name in metrics if name in frame and frame[name].isna().all()])
+    """Return a frame without the metrics that none of its runs has, such as other tasks'; reading
+    adds them again.
+    """
+    return frame.drop(
+        columns=[name for name in metrics if name in frame and frame[name].isna().all()]
+    )
 
 
 def _read_runs(path: Path) -> pd.DataFrame:
@@ -126,13 +160,17 @@ def _read_runs(path: Path) -> pd.DataFrame:
             runs[name] = config_column(texts, name.removeprefix("config."))
     others.sort(key=lambda name: name.startswith("config."))
     of_other_tasks = {name: np.nan for name in FINAL.values() if name not in runs}
-    return runs.assign(run_dir=None, artifact_uri=None, **of_other_tasks)[[*RUN_TYPES, *others]].astype(RUN_TYPES)
+    return runs.assign(run_dir=None, artifact_uri=None, **of_other_tasks)[
+        [*RUN_TYPES, *others]
+    ].astype(RUN_TYPES)
 
 
 def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
     """Return the final episodes; what the export does not have of them is missing."""
     table = pd.read_csv(path, dtype=str).astype({EPISODE_SEED: "int64"})
-    long = table.melt(EPISODE_SEED, var_name="run_id", value_name="outcome").dropna(ignore_index=True)
+    long = table.melt(EPISODE_SEED, var_name="run_id", value_name="outcome").dropna(
+        ignore_index=True
+    )
     steps = long["run_id"].map(runs.set_index("run_id")["steps"])
     ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
     frame = long.assign(step=steps, phase="final").astype({"run_id": ids}).dropna(subset="run_id")

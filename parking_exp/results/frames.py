@@ -67,7 +67,9 @@ TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """Runs of a store and what they logged, as the frames that `help(parking_exp.results)` describes."""
+    """Runs of a store and what they logged, as the frames that `help(parking_exp.results)`
+    describes.
+    """
 
     runs: pd.DataFrame = field(repr=False)
     curves: pd.DataFrame = field(repr=False)
@@ -78,7 +80,10 @@ class Results:
 
 
 def load(
-    experiments: str | Iterable[str] | None = None, *, uri: str | None = None, output_dir: str | Path = "outputs"
+    experiments: str | Iterable[str] | None = None,
+    *,
+    uri: str | None = None,
+    output_dir: str | Path = "outputs",
 ) -> Results:
     """Read runs from a store.
 
@@ -89,34 +94,52 @@ def load(
 
     Raises:
         ConfigError: `uri` contains a password.
-        ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
+        ResultsError: there is no such store, it can't be read, there is no such experiment, or it
+            has no runs.
     """
     folder = directory_path(output_dir)
-    return read_store(Store(refuse_password(uri), None) if uri else Store(default_uri(folder), folder), experiments)
+    return read_store(
+        Store(refuse_password(uri), None) if uri else Store(default_uri(folder), folder),
+        experiments,
+    )
 
 
 def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results:
     """Read runs from a store; see `load`."""
     if (path := database(store.uri)) is not None and not path.is_file():
-        raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
+        raise ResultsError(
+            f"there is no store {path}; train something first, or name another output_dir or store"
+        )
     with as_results_error(f"the store {store.uri} can't be read"):
         prepare(store)
         ids = _chosen(store, experiments)
         stored = store.runs(ids.values())
-        kept = [run for run in stored if run.info.lifecycle_stage == "active" and _is_from_this_package(run)]
+        kept = [
+            run
+            for run in stored
+            if run.info.lifecycle_stage == "active" and _is_from_this_package(run)
+        ]
         if not kept:
             searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
             raise ResultsError(f"{searched}: it has no runs of parking_exp")
-        runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
+        runs = _runs(
+            kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir
+        )
     configs, config_problems = _read_files(store, runs, CONFIG_FILE, config_reader())
     runs = _with_configs(runs, configs)
     logs, log_problems = _read_files(store, runs, METRICS_FILE, read_points)
     points = [{"run_id": run_id, **point} for run_id, log in logs.items() for point in log]
     curves = pd.DataFrame(points, columns=[*CURVE_TYPES]).astype(CURVE_TYPES)
-    curves = curves.dropna(how="all", subset=[*CURVE.values()]).sort_values(["run_id", "step"], ignore_index=True)
-    steps = {run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()}
+    curves = curves.dropna(how="all", subset=[*CURVE.values()]).sort_values(
+        ["run_id", "step"], ignore_index=True
+    )
+    steps = {
+        run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()
+    }
     runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
-    tables, table_problems = _read_files(store, runs[runs["status"] != "running"], EPISODES_FILE, read_episodes)
+    tables, table_problems = _read_files(
+        store, runs[runs["status"] != "running"], EPISODES_FILE, read_episodes
+    )
     run_ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
     none = pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)
     parts = [none, *(table.assign(run_id=run_id) for run_id, table in tables.items())]
@@ -145,13 +168,19 @@ def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, 
         if name not in ids:
             store.refuse_deleted(name)
             hint = suggestion(name, set(ids) - {"Default"})
-            raise ResultsError(f"experiment={name}: there is no such experiment in {store.uri}{hint}")
+            raise ResultsError(
+                f"experiment={name}: there is no such experiment in {store.uri}{hint}"
+            )
     return {name: ids[name] for name in names}
 
 
 def _is_from_this_package(run: "Run") -> bool:
     tags = run.data.tags
-    return all(name in tags for name in TAGS) and tags["status"] in STATUSES and tags["seed"].isdecimal()
+    return (
+        all(name in tags for name in TAGS)
+        and tags["status"] in STATUSES
+        and tags["seed"].isdecimal()
+    )
 
 
 def config_column(texts: Iterable[str | None], key: str = "") -> pd.Series:
@@ -159,17 +188,22 @@ def config_column(texts: Iterable[str | None], key: str = "") -> pd.Series:
     values = []
     for text in texts:
         value = parse_value(text)
-        # Stores and exports of earlier versions have no quotes around a label that looks like a number.
+        # Stores and exports of earlier versions have no quotes around a label that looks like a
+        # number.
         values.append(text if key == LABEL and isinstance(value, int | float) else value)
     return _setting_column(values)
 
 
 def _setting_column(values: Sequence[Setting]) -> pd.Series:
-    """Return the values of a config key as a column; where some are None, all stay Python objects."""
+    """Return the values of a config key as a column; where some are None, all stay Python
+    objects.
+    """
     return pd.Series(values, dtype=object if None in values else None)
 
 
-def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]) -> pd.DataFrame:
+def _runs(
+    stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]
+) -> pd.DataFrame:
     """Return `Results.runs` without what comes from files: the config and `steps`."""
     rows = []
     for run in stored:
@@ -177,7 +211,10 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
         final = FINAL if tags["status"] == "done" else {}
         path = run_dir(run)
         rows.append(
-            {name: tags.get(name) for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")}
+            {
+                name: tags.get(name)
+                for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")
+            }
             | {
                 "run_id": info.run_id,
                 "name": RATE.sub("", info.run_name or ""),
@@ -192,9 +229,16 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
         )
     runs = pd.DataFrame(rows, columns=[*RUN_TYPES], dtype=object)
     for name in ("started", "ended"):
-        runs[name] = pd.to_datetime(runs[name].astype("Int64"), unit="ms", utc=True, errors="coerce")
-    versions = sorted({name for run in stored for name in run.data.tags if name.startswith("version.")})
-    described = {name: pd.Series([run.data.tags.get(name) for run in stored], dtype=TEXT) for name in versions}
+        runs[name] = pd.to_datetime(
+            runs[name].astype("Int64"), unit="ms", utc=True, errors="coerce"
+        )
+    versions = sorted(
+        {name for run in stored for name in run.data.tags if name.startswith("version.")}
+    )
+    described = {
+        name: pd.Series([run.data.tags.get(name) for run in stored], dtype=TEXT)
+        for name in versions
+    }
     runs = pd.concat([runs.astype(RUN_TYPES), pd.DataFrame(described)], axis=1)
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 
@@ -211,7 +255,9 @@ def _with_configs(runs: pd.DataFrame, configs: Mapping[str, Config]) -> pd.DataF
 
 
 def _count(value: Setting) -> int | None:
-    """Return a setting that is a number of steps or episodes; a file of others may have anything."""
+    """Return a setting that is a number of steps or episodes; a file of others may have
+    anything.
+    """
     if isinstance(value, int) and 0 <= value < 2**63:
         return value
     return None
@@ -220,10 +266,16 @@ def _count(value: Setting) -> int | None:
 def _read_files(
     store: Store, runs: pd.DataFrame, name: str, parse: Callable[[bytes], Any]
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the parsed artifact of each run that has it, by run id, and a sentence for each one that is damaged."""
+    """Return the parsed artifact of each run that has it, by run id, and a sentence for each one
+    that is damaged.
+    """
     records, parsed, problems = runs.to_dict("records"), dict[str, Any](), list[str]()
-    with ThreadPoolExecutor(1 if database(store.uri) else DOWNLOADS_AT_ONCE) as pool:  # more cost CPU time locally
-        files = [pool.submit(store.artifact, run["run_id"], run["artifact_uri"], name) for run in records]
+    with ThreadPoolExecutor(
+        1 if database(store.uri) else DOWNLOADS_AT_ONCE
+    ) as pool:  # more cost CPU time locally
+        files = [
+            pool.submit(store.artifact, run["run_id"], run["artifact_uri"], name) for run in records
+        ]
         for run, file in zip(records, files, strict=True):
             problem = f"{name} is missing in the store" if run["status"] == "done" else None
             try:
@@ -232,12 +284,16 @@ def _read_files(
             except Exception as error:
                 problem = f"{name} can't be read: {reason(error)}"
             if problem:
-                problems.append(f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}")
+                problems.append(
+                    f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}"
+                )
     return parsed, problems
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
-    """Yield a sentence for each run that occurs more than once, e.g. from two output directories with one store."""
+    """Yield a sentence for each run that occurs more than once, e.g. from two output directories
+    with one store.
+    """
     numbers = runs.groupby(["experiment", "cell", "seed"], sort=False).size()
     for key, number in numbers[numbers > 1].items():
         experiment, cell, seed = cast(tuple[str, str, int], key)

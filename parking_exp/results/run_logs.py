@@ -1,4 +1,6 @@
-"""Parsers of a run's files, as the store has them: config to settings, metrics to curves, episodes to a frame."""
+"""Parsers of a run's files, as the store has them: config to settings, metrics to curves, episodes
+to a frame.
+"""
 
 import io
 import json
@@ -18,7 +20,11 @@ from parking_exp.tasks.registry import DTYPES, METRICS, OUTCOMES
 
 CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
 CURVE_KEYS = {**CURVE, "time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
-CURVE_TYPES: dict[str, Any] = {"run_id": "str", "step": "int64", **dict.fromkeys(CURVE_KEYS.values(), "float64")}
+CURVE_TYPES: dict[str, Any] = {
+    "run_id": "str",
+    "step": "int64",
+    **dict.fromkeys(CURVE_KEYS.values(), "float64"),
+}
 """Columns of `Results.curves`, and their types."""
 REQUIRED: dict[str, Any] = {
     "phase": pd.CategoricalDtype(["eval", "final", "certified"]),
@@ -29,7 +35,9 @@ REQUIRED: dict[str, Any] = {
 """Columns of episodes that every task has; each task lacks some of the others."""
 EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
 """Columns of `Results.episodes` after the run id, and their types."""
-CATEGORIES = {name: kind for name, kind in EPISODES.items() if isinstance(kind, pd.CategoricalDtype)}
+CATEGORIES = {
+    name: kind for name, kind in EPISODES.items() if isinstance(kind, pd.CategoricalDtype)
+}
 NUMBERS = {name: kind for name, kind in EPISODES.items() if name not in CATEGORIES}
 
 
@@ -39,7 +47,8 @@ SEED_LINE = re.compile(rb"^seed: (\d{1,10})$", re.MULTILINE)
 def config_reader() -> Callable[[bytes], Config]:
     """Return a parser of the content of a `config.yaml`; any error means that it is damaged.
 
-    Runs of a cell differ in the line of their seed; what they share is parsed once, since YAML is slow.
+    Runs of a cell differ in the line of their seed; what they share is parsed once, since YAML is
+    slow.
     """
 
     @cache
@@ -60,10 +69,16 @@ def config_reader() -> Callable[[bytes], Config]:
 
 
 def read_points(log: bytes) -> list[dict[str, Any]]:
-    """Return the points of curves in the content of a `metrics.jsonl`, by step; any error means that it is damaged."""
+    """Return the points of curves in the content of a `metrics.jsonl`, by step; any error means
+    that it is damaged.
+    """
     points: dict[int, dict[str, Any]] = {}
     for record in map(json.loads, log.splitlines()):
-        values = {CURVE_KEYS[key]: float(value) for key, value in record["metrics"].items() if key in CURVE_KEYS}
+        values = {
+            CURVE_KEYS[key]: float(value)
+            for key, value in record["metrics"].items()
+            if key in CURVE_KEYS
+        }
         if values:
             step = int(np.int64(record["step"]))
             points.setdefault(step, {"step": step}).update(values)
@@ -79,7 +94,11 @@ def read_episodes(table: bytes) -> pd.DataFrame:
     episodes = pd.read_csv(io.BytesIO(table), dtype=NUMBERS, usecols=lambda name: name in EPISODES)
     if absent := [name for name in REQUIRED if name not in episodes]:
         raise ValueError(f"it has no column {absent[0]}")
-    unknown = [name for name, kind in CATEGORIES.items() if not {*episodes[name].unique()} <= {*kind.categories}]
+    unknown = [
+        name
+        for name, kind in CATEGORIES.items()
+        if not {*episodes[name].unique()} <= {*kind.categories}
+    ]
     if unknown or not episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1).all():
         raise ValueError("it has rows that are not episodes")
     return episodes

@@ -27,7 +27,8 @@ HOST = re.sub(r"[^A-Za-z0-9]", "", socket.gethostname())
 def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Yield a path to write to; at the end of the block that file replaces `path`.
 
-    After a kill, an error or on a full disk, the file has the old or the new content; after a power cut, if `durable`.
+    After a kill, an error or on a full disk, the file has the old or the new content; after a power
+    cut, if `durable`.
     """
     _remove_leftovers(path.parent)
     # Two processes, of different machines even, may write at once; the last one wins.
@@ -85,7 +86,9 @@ def read_plain_yaml(path: Path) -> Any:
 
 
 def parse_plain_yaml(content: bytes) -> Any:
-    """Return what YAML describes; raises ValueError for large content, and for what JSON lacks, such as aliases."""
+    """Return what YAML describes; raises ValueError for large content, and for what JSON lacks,
+    such as aliases.
+    """
     if len(content) > MAX_SMALL:
         raise ValueError(f"it has more than {MAX_SMALL:,} bytes")
     try:
@@ -107,7 +110,8 @@ def read_file(path: Path, limit: int = MAX_LARGE) -> bytes:
     """Return the content of a file.
 
     Raises:
-        OSError: it is a pipe or a device, which might never end, has more bytes than the limit, or can't be read.
+        OSError: it is a pipe or a device, which might never end, has more bytes than the limit, or
+            can't be read.
     """
     with open_file(path, limit) as file:
         return file.read()

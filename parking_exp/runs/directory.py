@@ -1,12 +1,12 @@
 """Run directories: layout, progress, and the locks of the processes that change them.
 
-    outputs/<experiment_name>/<cell>/seed=<n>/
-        config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
-        provenance.json  checkpoints/  models/  evaluations/  exports/  tensorboard/  video.mp4
-        curves.png  log.txt  beat.json  traceback.txt
+    outputs/<experiment_name>/<cell>/seed=<n>/ config.yaml  status.json  result.json  metrics.jsonl
+        episodes.csv  monitor.csv  progress.csv provenance.json  checkpoints/  models/  evaluations/
+        exports/  tensorboard/  video.mp4 curves.png  log.txt  beat.json  traceback.txt
 
-The run directory is the truth; the store is a copy. Two locks keep processes apart: `.claim` is held by the process
-that is responsible for the run (its supervisor, or the one that trains it without any), `.lock` by the one that trains.
+The run directory is the truth; the store is a copy. Two locks keep processes apart: `.claim` is
+held by the process that is responsible for the run (its supervisor, or the one that trains it
+without any), `.lock` by the one that trains.
 """
 
 import fcntl
@@ -46,12 +46,21 @@ EVALUATIONS, SUMMARY_FILE = "evaluations", "summary.json"
 SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
 LOCK_PATIENCE_S = 2.0  # another process takes a lock for a moment to see whether it is held
 WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon after it
-# Space that a run keeps while it trains, so that its end can be written on a disk that is full by then.
+# Space that a run keeps while it trains, so that its end can be written on a disk that is full by
+# then.
 RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
 ENDS = ("done", "failed", "interrupted")
 STATUS_LOCK = ".status.lock"
 # All that the directory of a run that never began can hold.
-PLAN_FILES = {CONFIG_FILE, STATUS_FILE, STATUS_LOCK, ".sync.lock", SUPERVISOR_LOCK, TRAINING_LOCK, RESERVE}
+PLAN_FILES = {
+    CONFIG_FILE,
+    STATUS_FILE,
+    STATUS_LOCK,
+    ".sync.lock",
+    SUPERVISOR_LOCK,
+    TRAINING_LOCK,
+    RESERVE,
+}
 WRITTEN_AT_THE_END = (
     EPISODES_FILE,
     "curves.png",
@@ -118,7 +127,8 @@ class RunDirectory:
             values["tracking_uri"] = relative(uri, self.output_dir)
         if values.get("status") in ENDS:
             (self.path / RESERVE).unlink(missing_ok=True)
-        # A training, its supervisor, a mirror and an evaluation may change different entries at once.
+        # A training, its supervisor, a mirror and an evaluation may change different entries at
+        # once.
         with FileLock(self.path / STATUS_LOCK):
             changed = {**self.read_status(), **values}
             kept = {key: value for key, value in changed.items() if value is not None}
@@ -131,25 +141,33 @@ class RunDirectory:
         # The store may have been down until later, and the directory moved.
         now = {"run_dir": str(self.path.absolute()), "run_id": self.run_id}
         try:
-            return TypeAdapter(RunResult).validate_python(read_object(self.path / RESULT_FILE) | now)
+            return TypeAdapter(RunResult).validate_python(
+                read_object(self.path / RESULT_FILE) | now
+            )
         except ValidationError:
             return None
 
     def finish(self, result: RunResult, **values: Any) -> None:
-        """Write the result and the hashes of the run's files, then the status `done` with other entries."""
+        """Write the result and the hashes of the run's files, then the status `done` with other
+        entries.
+        """
         hashes = {name: sha256(file) for name, file in self._finished_files().items()}
         write_json(self.path / RESULT_FILE, {**asdict(result), "sha256": hashes})
         self.update(status="done", steps=result.steps, **values)
 
     def needs_evaluation(self, config: RunConfig) -> bool:
-        """Return whether a finished run was evaluated with other settings than those of a config."""
+        """Return whether a finished run was evaluated with other settings than those of a
+        config.
+        """
         entries = self.read_status()
         if entries.get("status") != "done" or "evaluation" not in entries:
             return False
         return entries["evaluation"] != config.final_settings
 
     def evaluation_problem(self) -> str | None:
-        """Return in a sentence why a finished run can't be evaluated again, as its checkpoint is gone; or None."""
+        """Return in a sentence why a finished run can't be evaluated again, as its checkpoint is
+        gone; or None.
+        """
         checkpoint = self.checkpoints / checkpoint_name(self.read_status().get("steps", 0))
         problem = checkpoint_problem(checkpoint)
         if problem is None:
@@ -160,9 +178,11 @@ class RunDirectory:
         )
 
     def reopen(self) -> None:
-        """Make a finished run unfinished, so that it goes on at its last checkpoint: with the final evaluation."""
-        # Without its start, the store makes a new run of it. This comes first: if the process is killed in between,
-        # the run is still finished, and reopened again.
+        """Make a finished run unfinished, so that it goes on at its last checkpoint: with the final
+        evaluation.
+        """
+        # Without its start, the store makes a new run of it. This comes first: if the process is
+        # killed in between, the run is still finished, and reopened again.
         (self.path / PROVENANCE_FILE).unlink(missing_ok=True)
         (self.path / "video.mp4").unlink(missing_ok=True)
         self.update(status="pending")
@@ -204,11 +224,15 @@ class RunDirectory:
 
     @property
     def has_hashes(self) -> bool:
-        """Whether the run's files can be checked: results of earlier versions, and damaged ones, have no hashes."""
+        """Whether the run's files can be checked: results of earlier versions, and damaged ones,
+        have no hashes.
+        """
         return isinstance(read_object(self.path / RESULT_FILE).get("sha256"), dict)
 
     def changed_files(self) -> list[str]:
-        """Return the names of files that have changed since they were finished; deleted ones have not."""
+        """Return the names of files that have changed since they were finished; deleted ones have
+        not.
+        """
         changed = []
         for folder in self.evaluations():
             names = _changed_in_evaluation(folder)
@@ -219,16 +243,22 @@ class RunDirectory:
 
     def evaluations(self) -> list[Path]:
         """Return the folders of the evaluations that are complete."""
-        return sorted(summary.parent for summary in self.path.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}"))
+        return sorted(
+            summary.parent for summary in self.path.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}")
+        )
 
     def _finished_files(self) -> dict[str, Path]:
-        """Return the files that no longer change once the run is finished, by their names in the directory."""
+        """Return the files that no longer change once the run is finished, by their names in the
+        directory.
+        """
         files = [self.path / name for name in (CONFIG_FILE, METRICS_FILE, *WRITTEN_AT_THE_END)]
         files += sorted(self.checkpoints.glob(f"*/{MODEL}"))
         return {str(file.relative_to(self.path)): file for file in files if file.is_file()}
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory, write the resolved config into it, and reserve space for the run's end."""
+        """Make the directory, write the resolved config into it, and reserve space for the run's
+        end.
+        """
         with self._writable():
             write_config(self.path, config, durable=True)
         self.reserve()
@@ -239,12 +269,17 @@ class RunDirectory:
             (self.path / RESERVE).write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
 
     def write_plan(
-        self, config: RunConfig, label: str, started: float | None, entries: Mapping[str, Any] | None = None
+        self,
+        config: RunConfig,
+        label: str,
+        started: float | None,
+        entries: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write the config, the label and other entries of status.json of a pending run, or reopen a finished one.
+        """Write the config, the label and other entries of status.json of a pending run, or reopen
+        a finished one.
 
-        Nothing is written if the run is locked, or if another process has begun it since `started`. There is no fsync:
-        after a power cut, rerunning the sweep writes the files again.
+        Nothing is written if the run is locked, or if another process has begun it since `started`.
+        There is no fsync: after a power cut, rerunning the sweep writes the files again.
         """
         if self.is_locked:
             return
@@ -258,14 +293,20 @@ class RunDirectory:
                 self.reopen()
             with self._writable():
                 write_config(self.path, config, durable=False)
-            plan = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
+            plan = {
+                "label": label,
+                "total_timesteps": config.total_timesteps,
+                "command": command_line(),
+            }
             uri = config.store_uri if config.tracking.mlflow else None
             fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
             self.update(durable=False, **fresh, **plan, **(entries or {}))
 
     def heartbeat(self, **values: Any) -> None:
         """Write the run's progress, for processes that monitor it."""
-        with suppress(OSError):  # a full disk: nothing depends on a heartbeat, and the next checkpoint will fail
+        with suppress(
+            OSError
+        ):  # a full disk: nothing depends on a heartbeat, and the next checkpoint will fail
             write_json(self.path / HEARTBEAT_FILE, {"time": time.time(), **values}, durable=False)
 
     def config(self) -> RunConfig:
@@ -273,7 +314,9 @@ class RunDirectory:
         return read_config(self.path, self.output_dir)
 
     def check_links(self) -> None:
-        """Raise UntrustedError if a link or file of the directory would let others be written, sent, or waited for."""
+        """Raise UntrustedError if a link or file of the directory would let others be written,
+        sent, or waited for.
+        """
         refuse_links(self.path.rglob("*"), self.path)
 
     def supervisor_lock(self) -> AbstractContextManager[None]:
@@ -297,7 +340,9 @@ class RunDirectory:
         try:
             lock = FileLock(self.path / name).acquire(timeout=patience_s)
         except Timeout:
-            raise RunLockedError(f"another process is working on {self.path}; wait for it, or stop it first") from None
+            raise RunLockedError(
+                f"another process is working on {self.path}; wait for it, or stop it first"
+            ) from None
         with lock:
             self.check_links()
             yield
@@ -307,7 +352,9 @@ class RunDirectory:
         try:
             yield
         except OSError as error:
-            raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
+            raise OutputDirectoryError(
+                f"output_dir: {self.path} cannot be written: {error.strerror}"
+            ) from error
 
     def read_status(self) -> dict[str, Any]:
         """Return the valid entries of status.json."""
@@ -330,7 +377,9 @@ def _changed_in_evaluation(folder: Path) -> list[str]:
 
 
 def _changed(files: Mapping[str, Path], record: Mapping[str, Any]) -> list[str]:
-    """Return the names of files that do not have the hashes of a record; those of earlier versions have none."""
+    """Return the names of files that do not have the hashes of a record; those of earlier versions
+    have none.
+    """
     hashes = record.get("sha256")
     if not isinstance(hashes, dict):
         return []
@@ -353,11 +402,15 @@ def checkpoint_problem(folder: Path) -> str | None:
 def is_held(path: Path) -> bool:
     """Return whether a process holds a lock file; the system releases it when that ends."""
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe in its place would wait for a writer
+        handle = os.open(
+            path, os.O_RDONLY | os.O_NONBLOCK
+        )  # a pipe in its place would wait for a writer
     except OSError:  # it was never locked
         return False
     try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared, so that several may look at once
+        fcntl.flock(
+            handle, fcntl.LOCK_SH | fcntl.LOCK_NB
+        )  # shared, so that several may look at once
     except BlockingIOError:
         return True
     finally:

@@ -1,4 +1,6 @@
-"""The append-only logs of a run (`metrics.jsonl`, `episodes.csv`, `monitor.csv`), and their copies in checkpoints."""
+"""The append-only logs of a run (`metrics.jsonl`, `episodes.csv`, `monitor.csv`), and their copies
+in checkpoints.
+"""
 
 import json
 import numbers
@@ -13,7 +15,11 @@ from parking_exp.runs.atomic_files import open_file
 if TYPE_CHECKING:
     import pandas as pd
 
-METRICS_FILE, EPISODES_FILE, MONITOR_FILE = APPENDED = ("metrics.jsonl", "episodes.csv", "monitor.csv")
+METRICS_FILE, EPISODES_FILE, MONITOR_FILE = APPENDED = (
+    "metrics.jsonl",
+    "episodes.csv",
+    "monitor.csv",
+)
 """Files of a run directory that only grow; each checkpoint has a copy of them."""
 
 
@@ -34,7 +40,9 @@ def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
 
 
 def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a `metrics.jsonl` if there is one, without a last line that is still being written."""
+    """Yield the rows of a `metrics.jsonl` if there is one, without a last line that is still being
+    written.
+    """
     if path.exists():
         with open_file(path) as file:
             yield from (json.loads(line) for line in file if line.endswith(b"\n"))
@@ -43,15 +51,20 @@ def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
 class MetricsLog:
     """`metrics.jsonl`: one line {"step", "time_ms", "metrics"} for each row of metrics.
 
-    A key has one value per step, the first; Stable-Baselines3 logs twice if two episodes end in the same step.
+    A key has one value per step, the first; Stable-Baselines3 logs twice if two episodes end in the
+    same step.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._last_step = {key: record["step"] for record in self.records() for key in record["metrics"]}
+        self._last_step = {
+            key: record["step"] for record in self.records() for key in record["metrics"]
+        }
 
     def append(self, step: int, values: Mapping[str, Any]) -> dict[str, float]:
-        """Append a row of the numbers among `values`, and return it; it may be empty, and then nothing is written."""
+        """Append a row of the numbers among `values`, and return it; it may be empty, and then
+        nothing is written.
+        """
         metrics = {
             key: float(value)
             for key, value in values.items()
@@ -59,7 +72,9 @@ class MetricsLog:
         }
         if metrics:
             self._last_step |= dict.fromkeys(metrics, step)
-            line = json.dumps({"step": step, "time_ms": time.time_ns() // 1_000_000, "metrics": metrics})
+            line = json.dumps(
+                {"step": step, "time_ms": time.time_ns() // 1_000_000, "metrics": metrics}
+            )
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(line + "\n")
         return metrics
@@ -77,11 +92,18 @@ class MetricsLog:
         import pandas as pd  # not where a store is only synced
 
         rows = [{"step": record["step"], **record["metrics"]} for record in self.records()]
-        return pd.DataFrame(rows, columns=None if rows else ["step"]).groupby("step").first().reset_index()
+        return (
+            pd.DataFrame(rows, columns=None if rows else ["step"])
+            .groupby("step")
+            .first()
+            .reset_index()
+        )
 
 
 def append_episodes(path: Path, episodes: "pd.DataFrame", phase: str, step: int) -> None:
-    """Append an evaluation's episodes to `episodes.csv`, with its phase (`eval` or `final`) and env step."""
+    """Append an evaluation's episodes to `episodes.csv`, with its phase (`eval` or `final`) and env
+    step.
+    """
     table = episodes.assign(phase=phase, step=step)[["phase", "step", *episodes.columns]]
     if path.exists():  # rows of a metric that was added since would not fit under the header
         with path.open(encoding="utf-8") as file:

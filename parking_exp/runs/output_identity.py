@@ -1,4 +1,6 @@
-"""The identity of an output directory, which its runs have as a tag in a store that several directories share."""
+"""The identity of an output directory, which its runs have as a tag in a store that several
+directories share.
+"""
 
 import re
 import uuid
@@ -15,7 +17,8 @@ ID = re.compile(r"[0-9a-f]{32}")
 
 
 def output_id(output_dir: Path) -> str:
-    """Return the id of an output directory, which is drawn at the first call; it moves and is copied with it.
+    """Return the id of an output directory, which is drawn at the first call; it moves and is
+    copied with it.
 
     A path does not identify a directory: containers have the same one on each machine.
 
@@ -30,5 +33,7 @@ def output_id(output_dir: Path) -> str:
             write_json(path, {"output_id": uuid.uuid4().hex})
         stored = read_object(path).get("output_id")
     if not isinstance(stored, str) or not ID.fullmatch(stored):
-        raise OutputDirectoryError(f"{path} is damaged; restore it, or delete it to send all runs as new ones")
+        raise OutputDirectoryError(
+            f"{path} is damaged; restore it, or delete it to send all runs as new ones"
+        )
     return stored

@@ -1,4 +1,6 @@
-"""The small files of a run directory: config, status and heartbeat, which may be damaged or untrusted."""
+"""The small files of a run directory: config, status and heartbeat, which may be damaged or
+untrusted.
+"""
 
 import json
 import re
@@ -14,7 +16,12 @@ from parking_exp.config.validate import check
 from parking_exp.errors import ConfigError, first_line
 from parking_exp.runs.atomic_files import read_json, read_plain_yaml, write_atomically
 
-CONFIG_FILE, STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "config.yaml", "status.json", "result.json", "beat.json"
+CONFIG_FILE, STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = (
+    "config.yaml",
+    "status.json",
+    "result.json",
+    "beat.json",
+)
 OUTPUT_DIR = "../../.."  # from a run directory
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
@@ -75,19 +82,25 @@ def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], b
 
 
 def write_config(directory: Path, config: RunConfig, *, durable: bool) -> None:
-    """Write a run's config into its directory, with paths relative to it; make the directory if need be."""
+    """Write a run's config into its directory, with paths relative to it; make the directory if
+    need be.
+    """
     uri = config.tracking.uri and relative(config.tracking.uri, config.output_path)
     tracking = config.tracking.model_copy(update={"uri": uri})
     plain = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking}).plain()
     directory.mkdir(parents=True, exist_ok=True)
-    write_atomically(directory / CONFIG_FILE, yaml.safe_dump(plain, sort_keys=False), durable=durable)
+    write_atomically(
+        directory / CONFIG_FILE, yaml.safe_dump(plain, sort_keys=False), durable=durable
+    )
 
 
 def read_config(directory: Path, output_dir: Path) -> RunConfig:
-    """Read a run's config as plain data, with the output directory and store of where the run is now.
+    """Read a run's config as plain data, with the output directory and store of where the run is
+    now.
 
     Raises:
-        ConfigError: it can't be read, has an interpolation, or does not fit this version of the package.
+        ConfigError: it can't be read, has an interpolation, or does not fit this version of the
+            package.
     """
     path = directory / CONFIG_FILE
     try:
@@ -96,9 +109,13 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
         reason = getattr(error, "strerror", None) or first_line(error)
         raise ConfigError(f"{path} can't be read: {reason}") from error
     if not isinstance(stored, dict):
-        raise ConfigError(f"{path} can't be read: expected a mapping, got a {type(stored).__name__}")
+        raise ConfigError(
+            f"{path} can't be read: expected a mapping, got a {type(stored).__name__}"
+        )
     if interpolation := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):
-        raise ConfigError(f"{path} has the interpolation {interpolation[0]}; stored configs have values only")
+        raise ConfigError(
+            f"{path} has the interpolation {interpolation[0]}; stored configs have values only"
+        )
     try:
         config = check(RunConfig, stored)
     except ConfigError as error:

@@ -16,13 +16,24 @@ from parking_exp.terminal import is_script, program
 
 PROVENANCE_FILE = "provenance.json"
 PACKAGES = [
-    *("torch", "stable-baselines3", "highway-env", "gymnasium", "gymnasium-robotics", "mujoco", "numpy", "hydra-core"),
+    *(
+        "torch",
+        "stable-baselines3",
+        "highway-env",
+        "gymnasium",
+        "gymnasium-robotics",
+        "mujoco",
+        "numpy",
+        "hydra-core",
+    ),
     "mlflow-skinny",
 ]
 
 
 def collect_provenance() -> dict[str, str]:
-    """Return the tags `version.<package>`, `git_commit`, `git_dirty` and `cpu`, as far as they are known."""
+    """Return the tags `version.<package>`, `git_commit`, `git_dirty` and `cpu`, as far as they are
+    known.
+    """
     tags = {"version.python": platform.python_version(), "version.parking-exp": __version__}
     for package in PACKAGES:
         try:
@@ -55,7 +66,9 @@ def _git() -> dict[str, str]:
 
     def git(*arguments: str) -> str:
         command = ["git", "-C", str(root), *arguments]
-        return subprocess.run(command, check=True, capture_output=True, text=True, timeout=10).stdout.strip()
+        return subprocess.run(
+            command, check=True, capture_output=True, text=True, timeout=10
+        ).stdout.strip()
 
     with suppress(OSError, subprocess.SubprocessError):
         changes = git("status", "--porcelain", "--untracked-files=no")

@@ -1,4 +1,6 @@
-"""The state of runs (done, running, failed, pending), read from the small files of their directories."""
+"""The state of runs (done, running, failed, pending), read from the small files of their
+directories.
+"""
 
 import sys
 import time
@@ -18,7 +20,17 @@ from parking_exp.runs.run_files import (
 Stage = Literal["done", "running", "failed", "pending"]
 STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")
 # Fields that `status.py` doesn't show.
-OWN = ("status", "steps", "error", "run_id", "tracking_uri", "command", "search", "cell_number", "evaluation")
+OWN = (
+    "status",
+    "steps",
+    "error",
+    "run_id",
+    "tracking_uri",
+    "command",
+    "search",
+    "cell_number",
+    "evaluation",
+)
 
 
 class RunState(StatusEntries):
@@ -90,7 +102,9 @@ def as_planned(states: Iterable[RunState]) -> list[RunState]:
 
 
 def _place(state: RunState) -> tuple[str, int, str, int]:
-    """Return the key by which runs are sorted: trials of a search by number, others by their cell's."""
+    """Return the key by which runs are sorted: trials of a search by number, others by their
+    cell's.
+    """
     number = state.cell_number if state.trial is None else state.trial
     if number is None:  # of no plan
         number = sys.maxsize
@@ -119,7 +133,12 @@ def _read_running(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
     total, left_s = entries.get("total_timesteps"), None
     if beat.steps_per_s > 1e-3 and total is not None:
         left_s = (total - beat.step) / beat.steps_per_s
-    return {"step": beat.step, "steps_per_s": beat.steps_per_s or None, "left_s": left_s, "doing": beat.doing}
+    return {
+        "step": beat.step,
+        "steps_per_s": beat.steps_per_s or None,
+        "left_s": left_s,
+        "doing": beat.doing,
+    }
 
 
 def _saved_step(path: Path) -> int:
@@ -129,7 +148,9 @@ def _saved_step(path: Path) -> int:
 
 
 def as_plain(states: Sequence[RunState]) -> dict[str, Any]:
-    """Return runs as JSON can hold them: how many are at which stage, in all and in each cell, and each run."""
+    """Return runs as JSON can hold them: how many are at which stage, in all and in each cell, and
+    each run.
+    """
     cells: list[Any] = []
     for (experiment, cell), runs in by_cell(states):
         entry: dict[str, Any] = {"experiment": experiment, "cell": cell, "label": runs[0].label}

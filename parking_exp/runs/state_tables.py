@@ -10,7 +10,9 @@ from parking_exp.runs.run_state import STAGES, RunState, by_cell, count_stages
 
 
 def cell_table(states: Sequence[RunState]) -> Table:
-    """Return one row a cell: how many of its runs are at each stage, and the mean success of those that are done."""
+    """Return one row a cell: how many of its runs are at each stage, and the mean success of those
+    that are done.
+    """
     table = Table(box=None, pad_edge=False)
     table.add_column("cell", overflow="fold")
     for stage in STAGES:
@@ -18,21 +20,29 @@ def cell_table(states: Sequence[RunState]) -> Table:
     table.add_column("success", justify="right")
     several = len({state.experiment for state in states}) > 1
     for (experiment, _), runs in by_cell(states):
-        rates = [run.success_rate for run in runs if run.stage == "done" and run.success_rate is not None]
+        rates = [
+            run.success_rate for run in runs if run.stage == "done" and run.success_rate is not None
+        ]
         mean = f"{sum(rates) / len(rates):.0%}" if rates else ""
         label, counts = runs[0].label, count_stages(runs)
         table.add_row(
-            f"{experiment}: {label}" if several else label, *(str(counts[stage] or "") for stage in STAGES), mean
+            f"{experiment}: {label}" if several else label,
+            *(str(counts[stage] or "") for stage in STAGES),
+            mean,
         )
     if len(list(by_cell(states))) > 1:
-        table.add_row("all", *(str(count_stages(states)[stage] or "") for stage in STAGES), "", style="bold")
+        table.add_row(
+            "all", *(str(count_stages(states)[stage] or "") for stage in STAGES), "", style="bold"
+        )
     return table
 
 
 def state_lines(
     states: Sequence[RunState], *kinds: Literal["running", "stopped", "failed", "damaged"]
 ) -> Iterator[str]:
-    """Yield a line for every run of each kind in turn: how far it is, where it resumes, or what is wrong."""
+    """Yield a line for every run of each kind in turn: how far it is, where it resumes, or what is
+    wrong.
+    """
     for kind in kinds:
         for state in states:
             text = None
@@ -61,7 +71,9 @@ def describe_progress(state: RunState) -> str:
 
 
 def _steps(state: RunState) -> str:
-    """Return `300 of 1000`: how many env steps a run has done, and of how many where that is known."""
+    """Return `300 of 1000`: how many env steps a run has done, and of how many where that is
+    known.
+    """
     return f"{state.step} of {state.total_timesteps}" if state.total_timesteps else str(state.step)
 
 

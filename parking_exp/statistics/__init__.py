@@ -1,10 +1,17 @@
-"""Statistics of runs: intervals, comparisons, effects, survival. Pure functions without I/O; all intervals are at 95 %.
+"""Statistics of runs: intervals, comparisons, effects, survival. Pure functions without I/O; all
+intervals are at 95 %.
 
-Every training imports this package, so scipy, which takes half a second to import, is imported by the functions that
-need it.
+Every training imports this package, so scipy, which takes half a second to import, is imported by
+the functions that need it.
 """
 
-from parking_exp.statistics.comparisons import Difference, compare, holm, probability_of_improvement, rank_test
+from parking_exp.statistics.comparisons import (
+    Difference,
+    compare,
+    holm,
+    probability_of_improvement,
+    rank_test,
+)
 from parking_exp.statistics.effects import MainEffect, main_effects
 from parking_exp.statistics.intervals import Interval, coverage_note
 from parking_exp.statistics.means import SeedRates, mean_interval

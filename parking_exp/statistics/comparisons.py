@@ -15,18 +15,21 @@ Cells = Sequence[SeedRates]
 
 @dataclass(frozen=True)
 class Difference(Interval):
-    """mean(a) - mean(b) with its interval, and two-sided p, also corrected by Bonferroni; None where there is none."""
+    """mean(a) - mean(b) with its interval, and two-sided p, also corrected by Bonferroni; None
+    where there is none.
+    """
 
     p: float | None = None
     p_corrected: float | None = None
 
 
 def compare(pairs: Sequence[tuple[Cells, Cells]], alpha: float = 0.05) -> list[Difference]:
-    """Return the differences of a family of pairs: the mean of some cells' means minus that of others.
+    """Return the differences of a family of pairs: the mean of some cells' means minus that of
+    others.
 
-    Bonferroni's correction makes the family's intervals simultaneous, and 0 lies outside exactly where the corrected
-    p is below alpha. (Holm's smaller p has no such intervals.) Where a cell has a single seed there is neither p nor
-    interval, and the pair is no part of the family.
+    Bonferroni's correction makes the family's intervals simultaneous, and 0 lies outside exactly
+    where the corrected p is below alpha. (Holm's smaller p has no such intervals.) Where a cell has
+    a single seed there is neither p nor interval, and the pair is no part of the family.
     """
     contrasts = [contrast(a, b) for a, b in pairs]
     size = max(1, sum(draws.p is not None for draws in contrasts))
@@ -66,7 +69,10 @@ def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
     Raises:
         ValueError: a side is empty or holds NaN.
     """
-    first, second = finite(a, "a probability of improvement"), finite(b, "a probability of improvement")
+    first, second = (
+        finite(a, "a probability of improvement"),
+        finite(b, "a probability of improvement"),
+    )
     return float((1 + np.sign(first[:, None] - second[None])).mean() / 2)
 
 

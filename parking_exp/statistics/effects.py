@@ -28,7 +28,8 @@ class MainEffect:
         factor: its name.
         levels: the mean of each.
         complete: whether all combinations are there; else levels are averaged over different cells.
-        largest: the highest mean minus the lowest, with an interval corrected as p; None with a single level.
+        largest: the highest mean minus the lowest, with an interval corrected as p; None with a
+            single level.
         p: of that difference, corrected (Bonferroni) over all pairs of levels.
     """
 
@@ -53,18 +54,27 @@ class MainEffect:
         return max(self.levels, key=mean), min(self.levels, key=mean)
 
 
-def main_effects(factors: Sequence[str], cells: Sequence[tuple[Sequence[Any], SeedRates]]) -> list[MainEffect]:
-    """Return the mean of cell means for every level of every factor; `cells` are (level of each factor, rates).
+def main_effects(
+    factors: Sequence[str], cells: Sequence[tuple[Sequence[Any], SeedRates]]
+) -> list[MainEffect]:
+    """Return the mean of cell means for every level of every factor; `cells` are (level of each
+    factor, rates).
 
-    Cells have equal weights. Intervals and p are those of `compare`; there are none if a cell of the level has a single
-    seed. Levels are in order, numbers before texts.
+    Cells have equal weights. Intervals and p are those of `compare`; there are none if a cell of
+    the level has a single seed. Levels are in order, numbers before texts.
     """
     by_factor = []
     for place in range(len(factors)):
-        levels = sorted({key[place] for key, _ in cells}, key=lambda level: (isinstance(level, str), level))
-        by_factor.append({level: [rates for key, rates in cells if key[place] == level] for level in levels})
+        levels = sorted(
+            {key[place] for key, _ in cells}, key=lambda level: (isinstance(level, str), level)
+        )
+        by_factor.append(
+            {level: [rates for key, rates in cells if key[place] == level] for level in levels}
+        )
     complete = len({tuple(key) for key, _ in cells}) == math.prod(map(len, by_factor))
-    return [_main_effect(factor, own, complete) for factor, own in zip(factors, by_factor, strict=True)]
+    return [
+        _main_effect(factor, own, complete) for factor, own in zip(factors, by_factor, strict=True)
+    ]
 
 
 def _main_effect(name: str, own: Mapping[Any, Sequence[SeedRates]], complete: bool) -> MainEffect:

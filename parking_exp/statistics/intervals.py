@@ -30,10 +30,12 @@ class Interval:
 
 
 def coverage_note(values: ArrayLike) -> str | None:
-    """Return a sentence where seeds look like those whose 95 % interval covered less than 93 % in simulation, or None.
+    """Return a sentence where seeds look like those whose 95 % interval covered less than 93 % in
+    simulation, or None.
 
-    `values`, shape (seeds,), are rates in 0 ... 1. The percentages are those of `tests/support/coverage_simulation.py`.
-    Collapses that no seed shows go unnoticed (see `unseen_share`).
+    `values`, shape (seeds,), are rates in 0 ... 1. The percentages are those of
+    `tests/support/coverage_simulation.py`. Collapses that no seed shows go unnoticed (see
+    `unseen_share`).
     """
     rates = finite(values, "a note on coverage")
     if len(rates) < MIN_SEEDS:
@@ -42,7 +44,9 @@ def coverage_note(values: ArrayLike) -> str | None:
     covered = next((percent for below, percent in COLLAPSED_COVERS if len(rates) < below), None)
     if gap > GAP and covered is not None:
         return (
-            f"The {len(rates)} seeds fall into two groups, {100 * gap:.0f} points apart, so the interval may be too "
-            f"narrow: in simulations where one seed in ten collapses, such intervals covered {covered} % instead of 95."
+            f"The {len(rates)} seeds fall into two groups, {100 * gap:.0f} points apart, so the "
+            "interval may be too "
+            "narrow: in simulations where one seed in ten collapses, such intervals covered "
+            f"{covered} % instead of 95."
         )
     return None

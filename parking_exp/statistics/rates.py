@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike
 
 
 def finite(values: ArrayLike, purpose: str) -> np.ndarray:
-    """Return `values` as a float array of shape (n,), n >= 1; raise ValueError for other shapes, NaN and infinity."""
+    """Return `values` as a float array of shape (n,), n >= 1; raise ValueError for other shapes,
+    NaN and infinity.
+    """
     array = np.asarray(values, dtype=float)
     if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
         raise ValueError(f"{purpose} takes a flat array of one or more finite values")
@@ -48,11 +50,15 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     scale = 1 / (1 + Z**2 / trials)
     centre = scale * (rate + Z**2 / (2 * trials))
     half = scale * Z * math.sqrt(rate * (1 - rate) / trials + Z**2 / (4 * trials**2))
-    return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
+    return (0.0 if successes == 0 else centre - half), (
+        1.0 if successes == trials else centre + half
+    )
 
 
 def share_reaching(values: ArrayLike, threshold: float) -> Proportion:
-    """Return how many of `values`, shape (seeds,), are at least `threshold`, with Clopper and Pearson's interval."""
+    """Return how many of `values`, shape (seeds,), are at least `threshold`, with Clopper and
+    Pearson's interval.
+    """
     from scipy import stats
 
     rates = finite(values, "a share of seeds")
@@ -62,15 +68,19 @@ def share_reaching(values: ArrayLike, threshold: float) -> Proportion:
 
 
 def interquartile_mean(values: ArrayLike) -> float:
-    """Return the mean of `values`, shape (seeds,), without the quarter at each end, rounded down to whole seeds."""
+    """Return the mean of `values`, shape (seeds,), without the quarter at each end, rounded down to
+    whole seeds.
+    """
     from scipy import stats
 
     return float(stats.trim_mean(finite(values, "an interquartile mean"), 0.25))
 
 
 def unseen_share(n: int) -> float:
-    """Return the largest share of seeds that may collapse although none of `n` did (one-sided, Clopper & Pearson 1934).
+    """Return the largest share of seeds that may collapse although none of `n` did (one-sided,
+    Clopper & Pearson 1934).
 
-    With 10 seeds it is 0.26: no interval computed from ten good seeds accounts for failures that they do not show.
+    With 10 seeds it is 0.26: no interval computed from ten good seeds accounts for failures that
+    they do not show.
     """
     return 1 - 0.05 ** (1 / n)

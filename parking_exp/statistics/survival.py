@@ -1,4 +1,6 @@
-"""Learning curves: the area under one, and the time to a threshold, where runs that never reach it are censored."""
+"""Learning curves: the area under one, and the time to a threshold, where runs that never reach it
+are censored.
+"""
 
 import warnings
 from collections.abc import Sequence
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurvivalCurve:
-    """The share of runs that have reached the threshold by each of `times` (1 - S); before the first, none has."""
+    """The share of runs that have reached the threshold by each of `times` (1 - S); before the
+    first, none has.
+    """
 
     times: tuple[float, ...]
     reached: tuple[float, ...]
@@ -30,8 +34,8 @@ class SurvivalCurve:
 def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
     """Return the area under a learning curve over the range of its steps: 1 means always at 1.
 
-    The area is that of trapezoids between evaluations, divided by the range that they cover. NaN values are dropped. A
-    single evaluation is its own area.
+    The area is that of trapezoids between evaluations, divided by the range that they cover. NaN
+    values are dropped. A single evaluation is its own area.
 
     Raises:
         ValueError: no evaluation is a number, or the shapes differ.
@@ -43,12 +47,15 @@ def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
     return float(np.trapezoid(value, at) / (at[-1] - at[0])) if len(at) > 1 else float(value[0])
 
 
-def steps_to(steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: int = 3) -> tuple[float, bool]:
-    """Return the first step from which `hold` evaluations in a row are at least `threshold`, and True.
+def steps_to(
+    steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: int = 3
+) -> tuple[float, bool]:
+    """Return the first step from which `hold` evaluations in a row are at least `threshold`, and
+    True.
 
-    Where there is none, the run is censored at the last step from which that could have been seen, that of the
-    `hold`-th evaluation from the end (0 with fewer): return that and False. `steps`, shape (evaluations,), rises; NaN
-    rates are below the threshold.
+    Where there is none, the run is censored at the last step from which that could have been seen,
+    that of the `hold`-th evaluation from the end (0 with fewer): return that and False. `steps`,
+    shape (evaluations,), rises; NaN rates are below the threshold.
 
     Raises:
         ValueError: there are no evaluations, or the shapes differ.
@@ -61,11 +68,14 @@ def steps_to(steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: i
 
 
 def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
-    """Return the product-limit estimate of the share that has reached (Kaplan & Meier 1958), at every distinct time.
+    """Return the product-limit estimate of the share that has reached (Kaplan & Meier 1958), at
+    every distinct time.
 
-    `times` and `observed`, shape (runs,), as `steps_to` gives them. The interval is Greenwood's on the log-log scale.
-    Where that is undefined: before the first event it is Wilson's for none out of those at risk; once all have
-    reached, the lower bound stays where it was last (with no time before, Wilson's for all) and the upper one is 1.
+    `times` and `observed`, shape (runs,), as `steps_to` gives them. The interval is Greenwood's on
+    the log-log scale.
+    Where that is undefined: before the first event it is Wilson's for none out of those at risk;
+    once all have reached, the lower bound stays where it was last (with no time before, Wilson's
+    for all) and the upper one is 1.
 
     Raises:
         ValueError: there are no runs, or a time is not finite.
@@ -90,7 +100,8 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
 
 
 def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
-    """Return the two-sided p of the log-rank test (Mantel 1966) of two pairs (times, observed); None without any event.
+    """Return the two-sided p of the log-rank test (Mantel 1966) of two pairs (times, observed);
+    None without any event.
 
     It is 1 where the statistic has no variance, e.g. with equal times.
 
@@ -108,7 +119,9 @@ def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
 def _curve(steps: ArrayLike, values: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     at, value = finite(steps, "a learning curve"), np.asarray(values, dtype=float)
     if value.shape != at.shape:
-        raise ValueError(f"{len(at)} steps and values of shape {value.shape} do not belong together")
+        raise ValueError(
+            f"{len(at)} steps and values of shape {value.shape} do not belong together"
+        )
     return at, value
 
 

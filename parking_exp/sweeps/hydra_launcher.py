@@ -27,11 +27,16 @@ class Launcher(Protocol):
     """Trains run directories, each in a process of its own."""
 
     def train(self, paths: Sequence[Path]) -> str | None:
-        """Train runs until they are over or interrupted; return an error of the launcher itself, or None."""
+        """Train runs until they are over or interrupted; return an error of the launcher itself, or
+        None.
+        """
 
 
-def launcher_of(runs: Sequence[ComposedRun], extra_config_dir: str | None = None, *, connect: bool = False) -> Launcher:
-    """Return the launcher that the command line or the experiment file of runs names, with its settings checked.
+def launcher_of(
+    runs: Sequence[ComposedRun], extra_config_dir: str | None = None, *, connect: bool = False
+) -> Launcher:
+    """Return the launcher that the command line or the experiment file of runs names, with its
+    settings checked.
 
     Args:
         runs: of one sweep.
@@ -39,11 +44,14 @@ def launcher_of(runs: Sequence[ComposedRun], extra_config_dir: str | None = None
         connect: whether to connect to the cluster now, before anything is on disk.
 
     Raises:
-        ConfigError: it is unknown, not installed, set up wrongly or out of reach, or experiments name different ones.
+        ConfigError: it is unknown, not installed, set up wrongly or out of reach, or experiments
+            name different ones.
     """
     name, settings = runs[0].launcher, dict(runs[0].launcher_settings)
     if any((run.launcher, run.launcher_settings) != (name, settings) for run in runs):
-        raise ConfigError("these experiments have different launchers; name one with hydra/launcher=NAME")
+        raise ConfigError(
+            "these experiments have different launchers; name one with hydra/launcher=NAME"
+        )
     if name == "basic":  # Hydra's own
         return LocalLauncher(1)
     with hydra_ready():
@@ -59,7 +67,9 @@ def launcher_of(runs: Sequence[ComposedRun], extra_config_dir: str | None = None
                 config.hydra.launcher = settings
             # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.
             context = HydraContext(config_loader=loader, callbacks=cast(Any, Callback()))
-            return PluginLauncher(name, Plugins.instance().instantiate_launcher(context, _train, config))
+            return PluginLauncher(
+                name, Plugins.instance().instantiate_launcher(context, _train, config)
+            )
         except (ImportError, RuntimeError, TypeError) as error:
             raise _unusable(name, error) from error
 
@@ -73,7 +83,9 @@ def _connect_to_ray(settings: Mapping[str, Any]) -> None:
         ray.init(**settings["ray"]["init"])
     except (ConnectionError, RuntimeError, ValueError) as error:
         reason = first_line(error).partition(". ")[0]
-        raise ConfigError(f"hydra/launcher=ray: {reason}; start a cluster with `ray start --head`") from error
+        raise ConfigError(
+            f"hydra/launcher=ray: {reason}; start a cluster with `ray start --head`"
+        ) from error
 
 
 class PluginLauncher:
@@ -101,5 +113,9 @@ def _train(config: DictConfig) -> None:
 
 
 def _unusable(name: str, error: Exception) -> ConfigError:
-    extra = f"; pip install 'parking-exp[{name}]'" if name in EXTRAS and not isinstance(error, TypeError) else ""
+    extra = (
+        f"; pip install 'parking-exp[{name}]'"
+        if name in EXTRAS and not isinstance(error, TypeError)
+        else ""
+    )
     return ConfigError(f"hydra/launcher={name}: {first_line(error)}{extra}")

@@ -1,4 +1,6 @@
-"""The local launcher: worker processes on this machine, each with its own cores and CUDA devices."""
+"""The local launcher: worker processes on this machine, each with its own cores and CUDA
+devices.
+"""
 
 import itertools
 import os
@@ -31,7 +33,9 @@ class LocalLauncher:
             for path in waiting:  # shared by the workers
                 try:
                     train(path)
-                except Exception as error:  # e.g. its directory can't be written; the other runs continue
+                except (
+                    Exception
+                ) as error:  # e.g. its directory can't be written; the other runs continue
                     say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
 
         run_workers(work, min(self.n_jobs, len(paths)))
@@ -40,12 +44,15 @@ class LocalLauncher:
 def check_n_jobs(n_jobs: int | None) -> int | None:
     """Return `hydra.launcher.n_jobs`, or raise ConfigError for an invalid one."""
     if n_jobs is not None and (type(n_jobs) is not int or n_jobs <= 0):
-        raise ConfigError(f"hydra.launcher.n_jobs={n_jobs} is not valid; give a number above 0, or null")
+        raise ConfigError(
+            f"hydra.launcher.n_jobs={n_jobs} is not valid; give a number above 0, or null"
+        )
     return n_jobs
 
 
 def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
-    """Call `work` in a thread for each worker, with a function that trains on the worker's own cores and CUDA device.
+    """Call `work` in a thread for each worker, with a function that trains on the worker's own
+    cores and CUDA device.
 
     The first SIGINT or SIGTERM stops all runs, with their states saved; a second one exits at once.
 
@@ -53,13 +60,18 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
         InterruptedRunError: a signal stopped it.
     """
     # Workers die with their supervisor.
-    with stop_on_signal(lambda number, _: os._exit(128 + number)) as request, ThreadPoolExecutor(n_workers) as pool:
+    with (
+        stop_on_signal(lambda number, _: os._exit(128 + number)) as request,
+        ThreadPoolExecutor(n_workers) as pool,
+    ):
 
         def start(some_cores: Sequence[int], device: str | None) -> None:
             def train(path: Path) -> WorkerResult:
                 if request.is_made:
                     return "stopped"
-                return supervise(path, lambda: request.is_made, some_cores, device, LOCAL_START_METHOD)
+                return supervise(
+                    path, lambda: request.is_made, some_cores, device, LOCAL_START_METHOD
+                )
 
             work(train)
 

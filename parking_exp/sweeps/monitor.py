@@ -1,4 +1,6 @@
-"""Live view of runs, read from their directories: a line for each event, and on a terminal one for each running run."""
+"""Live view of runs, read from their directories: a line for each event, and on a terminal one for
+each running run.
+"""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -24,11 +26,15 @@ class Monitor:
         console: None: the standard error stream.
     """
 
-    def __init__(self, find: Callable[[], Sequence[Path]], n_runs: int, console: Console | None = None) -> None:
+    def __init__(
+        self, find: Callable[[], Sequence[Path]], n_runs: int, console: Console | None = None
+    ) -> None:
         self._find, self._n_runs = find, n_runs
         self._console = console or make_console(stderr=True)
         self._states = {path: read_state(path) for path in find()}
-        self._live = Live(get_renderable=self._render, console=self._console, refresh_per_second=1, transient=True)
+        self._live = Live(
+            get_renderable=self._render, console=self._console, refresh_per_second=1, transient=True
+        )
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
 
@@ -66,14 +72,22 @@ class Monitor:
         run = run_name(state)
         match state.stage:
             case "done":
-                rate = f"success {state.success_rate:.0%}, " if state.success_rate is not None else ""
-                self.say(f"done     {run}: {rate}{format_duration(state.wall_s or 0.0)}  ({self._progress()})")
+                rate = (
+                    f"success {state.success_rate:.0%}, " if state.success_rate is not None else ""
+                )
+                self.say(
+                    f"done     {run}: {rate}{format_duration(state.wall_s or 0.0)}  "
+                    f"({self._progress()})"
+                )
             case "failed":
                 self.say(f"failed   {run}: {state.reason}  ({self._progress()})")
             case "running":
                 self.say(f"started  {run}{f'  on {state.host}' if state.host else ''}")
             case _:
-                self.say(f"stopped  {run}, {f'at step {state.step}' if state.step else 'before its first checkpoint'}")
+                self.say(
+                    f"stopped  {run}, "
+                    f"{f'at step {state.step}' if state.step else 'before its first checkpoint'}"
+                )
 
     def _render(self) -> RenderableType:
         return Group(*state_lines(list(self._states.values()), "running"), self._progress())

@@ -1,7 +1,8 @@
 """The process that local workers fork from: it has imported what every run needs.
 
-`multiprocessing` imports this module when it starts the process. The process neither trains nor touches CUDA, and it
-has one thread only: threads do not survive a fork. It ends when the sweep and all workers have ended.
+`multiprocessing` imports this module when it starts the process. The process neither trains nor
+touches CUDA, and it has one thread only: threads do not survive a fork. It ends when the sweep and
+all workers have ended.
 """
 
 import gc
@@ -21,7 +22,9 @@ def _set_handlers(handler: signal.Handlers) -> None:
 
 _set_handlers(signal.SIG_IGN)
 os.register_at_fork(after_in_child=lambda: _set_handlers(signal.SIG_DFL))
-signal.signal(signal.SIGINT, signal.SIG_IGN)  # of Ctrl-C; `multiprocessing` ignores it after the imports only
+signal.signal(
+    signal.SIGINT, signal.SIG_IGN
+)  # of Ctrl-C; `multiprocessing` ignores it after the imports only
 
 os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
 gc.disable()  # imports are 0.8 s faster without it
@@ -32,5 +35,6 @@ import torch.utils.tensorboard  # noqa: E402, F401
 
 import parking_exp.training.train_run  # noqa: E402, F401
 
-gc.freeze()  # else the collections of workers would copy the memory that they share with this process
+# else the collections of workers would copy the memory that they share with this process
+gc.freeze()
 gc.enable()

@@ -1,7 +1,7 @@
 """The slurm launcher: jobs of submitit, on a Slurm cluster or as processes of this machine.
 
-The end of a job is judged by `squeue` and by its run directory: without accounting, submitit does not notice that a job
-was cancelled, ran out of time or lost its node.
+The end of a job is judged by `squeue` and by its run directory: without accounting, submitit does
+not notice that a job was cancelled, ran out of time or lost its node.
 """
 
 import os
@@ -38,9 +38,13 @@ class SlurmLauncher:
         ConfigError: submitit refuses the parameters, or finds no Slurm.
     """
 
-    def __init__(self, executor: str, n_jobs: int | None, folder: str | None, parameters: Mapping[str, Any]) -> None:
+    def __init__(
+        self, executor: str, n_jobs: int | None, folder: str | None, parameters: Mapping[str, Any]
+    ) -> None:
         if not isinstance(parameters, Mapping):
-            raise ConfigError(f"hydra.launcher.parameters={parameters} is not a mapping, {{KEY: VALUE}}")
+            raise ConfigError(
+                f"hydra.launcher.parameters={parameters} is not a mapping, {{KEY: VALUE}}"
+            )
         if not isinstance(folder, str | None):
             raise ConfigError(f"hydra.launcher.folder={folder} is not a path")
         self.executor = executor
@@ -52,8 +56,8 @@ class SlurmLauncher:
     def train(self, paths: Sequence[Path]) -> str | None:
         """Train runs as jobs; return how many ended early, or None.
 
-        Ctrl-C cancels the jobs, which save their states. Jobs continue if the launcher is killed, and a rerun leaves
-        their runs alone.
+        Ctrl-C cancels the jobs, which save their states. Jobs continue if the launcher is killed,
+        and a rerun leaves their runs alone.
 
         Raises:
             FailedRunError: a job cannot be submitted.
@@ -66,15 +70,24 @@ class SlurmLauncher:
         folder = self.folder
         if folder is None:
             folder = output_dir / ".submitit"
-            refuse_links([folder, *folder.rglob("*")], output_dir)  # the output directory may come from others
+            refuse_links(
+                [folder, *folder.rglob("*")], output_dir
+            )  # the output directory may come from others
         submitter = self._submitter(folder)
         waiting, jobs, active = list(paths), dict[Path, Any](), list[Any]()
-        with stop_on_signal(signals=(signal.SIGINT, signal.SIGTERM)) as request:  # jobs outlive a closed terminal
+        with stop_on_signal(
+            signals=(signal.SIGINT, signal.SIGTERM)
+        ) as request:  # jobs outlive a closed terminal
             try:
                 while (waiting or active) and not request.is_made:
-                    while waiting and len(active) < (self.n_jobs or len(paths)) and not request.is_made:
+                    while (
+                        waiting
+                        and len(active) < (self.n_jobs or len(paths))
+                        and not request.is_made
+                    ):
                         path = waiting.pop(0)
-                        # Ctrl-C waits for `sbatch`, so that every submitted job is known, and cancelled.
+                        # Ctrl-C waits for `sbatch`, so that every submitted job is known, and
+                        # cancelled.
                         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
                         try:
                             jobs[path] = submitter.submit(supervise_job, path)
@@ -84,13 +97,21 @@ class SlurmLauncher:
                     time.sleep(POLL_S[self.executor])
                     active = self._unfinished(active)
             except FailedJobError as error:
-                raise FailedRunError(f"submitit cannot submit: {str(error).splitlines()[-1]}") from error
+                raise FailedRunError(
+                    f"submitit cannot submit: {str(error).splitlines()[-1]}"
+                ) from error
             finally:
                 self._cancel(active)
         request.raise_if_made()
-        early = [job.paths.stderr for path, job in jobs.items() if read_state(path).stage == "pending"]
+        early = [
+            job.paths.stderr for path, job in jobs.items() if read_state(path).stage == "pending"
+        ]
         number = f"{len(early)} of {plural(len(jobs), 'job')}"
-        return f"{number} ended early, stopped by Slurm or a signal; the first log: {early[0]}" if early else None
+        return (
+            f"{number} ended early, stopped by Slurm or a signal; the first log: {early[0]}"
+            if early
+            else None
+        )
 
     def _submitter(self, folder: Path) -> Any:
         import submitit
@@ -108,8 +129,13 @@ class SlurmLauncher:
             return [job for job in jobs if not job.done()]
         command = ["squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}"]
         try:
-            listed = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.split()
-        except (subprocess.SubprocessError, OSError) as error:  # e.g. the controller is being restarted
+            listed = subprocess.run(
+                command, capture_output=True, text=True, check=True, timeout=60
+            ).stdout.split()
+        except (
+            subprocess.SubprocessError,
+            OSError,
+        ) as error:  # e.g. the controller is being restarted
             say(f"warning: {error}; trying again", stderr=True)
             return jobs
         return [job for job in jobs if job.job_id in listed]

@@ -23,7 +23,8 @@ Moment = tuple[Status, str | None]
 class StoreWriter:
     """Context manager that sends runs to their stores as they save checkpoints and when they end.
 
-    It works in a thread, and sends at the end whatever the stores still lack. A store that fails stops no training.
+    It works in a thread, and sends at the end whatever the stores still lack. A store that fails
+    stops no training.
 
     Args:
         find: returns the run directories that exist now.
@@ -32,10 +33,15 @@ class StoreWriter:
     """
 
     def __init__(
-        self, find: Callable[[], Sequence[Path]], configs: Iterable[RunConfig], say: Callable[[str], None]
+        self,
+        find: Callable[[], Sequence[Path]],
+        configs: Iterable[RunConfig],
+        say: Callable[[str], None],
     ) -> None:
         self._find, self._say = find, say
-        output_dirs = {config.store_uri: config.output_path for config in configs if config.tracking.mlflow}
+        output_dirs = {
+            config.store_uri: config.output_path for config in configs if config.tracking.mlflow
+        }
         self._stores = [Store(uri, output_dir) for uri, output_dir in output_dirs.items()]
         self._sent: dict[Path, Moment] = {path: _moment(RunDirectory(path)) for path in find()}
         self._resumes_at = 0.0

@@ -1,4 +1,5 @@
-"""Supervise a run: start its worker process, wait for it, and record in the run directory how it ended.
+"""Supervise a run: start its worker process, wait for it, and record in the run directory how it
+ended.
 
 All launchers train runs like this. If the supervisor dies, its worker dies with it.
 """
@@ -25,7 +26,9 @@ POLL_S = 0.05
 KILLS = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
-"""How a run ended: done; failed, with the reason in status.json; stopped, on request; elsewhere: in another process."""
+"""How a run ended: done; failed, with the reason in status.json; stopped, on request; elsewhere: in
+another process.
+"""
 Stop = Callable[[], bool]
 
 
@@ -40,7 +43,8 @@ def supervise(
 
     Args:
         path: the run directory, with its config.
-        stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after GRACE_S.
+        stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after
+            GRACE_S.
         cores: for the worker, with a thread each; none: all.
         device: CUDA device for the worker; None: all.
         start_method: how its process starts.
@@ -62,7 +66,9 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: Stop) -> WorkerR
     try:
         config = directory.config()
         if config.run_dir != directory_path(directory.path):
-            raise ConfigError(f"{directory.path / CONFIG_FILE} is the config of another run; rerun the sweep")
+            raise ConfigError(
+                f"{directory.path / CONFIG_FILE} is the config of another run; rerun the sweep"
+            )
         directory.reserve()
     except (ConfigError, OutputDirectoryError) as error:
         directory.update(status="failed", error=str(error))
@@ -82,8 +88,12 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: Stop) -> WorkerR
     return _result(directory, exit_status, cause, config.timeout_s)
 
 
-def _wait(process: WorkerProcess, timeout_s: float | None, stop: Stop) -> Literal["late", "stopped"] | None:
-    """Wait for a worker, and end it if it takes too long or is to stop; return which of these it was."""
+def _wait(
+    process: WorkerProcess, timeout_s: float | None, stop: Stop
+) -> Literal["late", "stopped"] | None:
+    """Wait for a worker, and end it if it takes too long or is to stop; return which of these it
+    was.
+    """
     cause: Literal["late", "stopped"] | None = None
     deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
     while process.exit_status is None:
@@ -103,8 +113,12 @@ def _wait(process: WorkerProcess, timeout_s: float | None, stop: Stop) -> Litera
     return cause
 
 
-def _result(directory: RunDirectory, code: int, cause: str | None, timeout_s: float | None) -> WorkerResult:
-    """Return how a run ended, from its worker's exit status and its status.json, and record it there."""
+def _result(
+    directory: RunDirectory, code: int, cause: str | None, timeout_s: float | None
+) -> WorkerResult:
+    """Return how a run ended, from its worker's exit status and its status.json, and record it
+    there.
+    """
     status, killed = directory.status, False
     if status == "done":
         return "done"
@@ -118,13 +132,19 @@ def _result(directory: RunDirectory, code: int, cause: str | None, timeout_s: fl
         directory.update(status="interrupted")
         return "stopped"
     elif code < 0:
-        reason = f"killed by {signal.Signals(-code).name}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
+        reason = (
+            "killed by "
+            f"{signal.Signals(-code).name}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
+        )
         killed = -code in KILLS
     elif code == SERVER_LOST:
         reason = "its process was lost, as the server that it was forked from was killed"
         killed = True
     else:
-        reason = f"its process ended with status {code} and without a result; see {directory.path / LOG_FILE}"
+        reason = (
+            f"its process ended with status {code} and without a result; see "
+            f"{directory.path / LOG_FILE}"
+        )
     directory.update(status="failed", error=reason, killed=killed or None)
     return "failed"
 
@@ -133,9 +153,14 @@ def supervise_job(path: Path) -> None:
     """Train the run of a directory, as a job of a cluster.
 
     Raises:
-        KeyboardInterrupt: a signal stopped it; not an Exception, so that launchers start no further job.
+        KeyboardInterrupt: a signal stopped it; not an Exception, so that launchers start no further
+            job.
     """
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)  # submitit sends the last when the time is nearly up
+    signals = (
+        signal.SIGINT,
+        signal.SIGTERM,
+        signal.SIGUSR2,
+    )  # submitit sends the last when the time is nearly up
     with stop_on_signal(None, signals) as request:
         supervise(path, lambda: request.is_made)
     if request.is_made:

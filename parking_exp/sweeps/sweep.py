@@ -1,6 +1,7 @@
 """Plan and run a sweep: describe what is due, write configs, launch, watch, sync the store, sum up.
 
-Its whole state is in the run directories: the same command resumes it, and several sweeps can share one experiment.
+Its whole state is in the run directories: the same command resumes it, and several sweeps can share
+one experiment.
 """
 
 import time
@@ -60,7 +61,9 @@ class PlannedRun:
 
     @cached_property
     def needs_evaluation(self) -> bool:
-        """Whether it is finished, but was evaluated with other settings than those of this sweep."""
+        """Whether it is finished, but was evaluated with other settings than those of this
+        sweep.
+        """
         return self.state.stage == "done" and RunDirectory(self.path).needs_evaluation(self.config)
 
     @cached_property
@@ -71,14 +74,19 @@ class PlannedRun:
 
 def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[PlannedRun]:
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
-    unique = {id(run.cell): run.cell for run in composed}  # a cell is checked once for all its seeds
+    unique = {
+        id(run.cell): run.cell for run in composed
+    }  # a cell is checked once for all its seeds
     cells = {
-        key: (config, config.run_dir.parent) for key, config in zip(unique, validate_all(unique.values()), strict=True)
+        key: (config, config.run_dir.parent)
+        for key, config in zip(unique, validate_all(unique.values()), strict=True)
     }
     _refuse_two_evaluations(cells.values())
     names = {folder: (folder.parent.name, folder.name) for _, folder in cells.values()}
     numbers = {folder: number for number, folder in enumerate(names)}
-    labels = label_by_experiment({names[folder]: settings_of(config.plain()) for config, folder in cells.values()})
+    labels = label_by_experiment(
+        {names[folder]: settings_of(config.plain()) for config, folder in cells.values()}
+    )
     runs: dict[Path, PlannedRun] = {}
     for run in composed:
         config, folder = cells[id(run.cell)]
@@ -88,7 +96,9 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
         if path not in runs:
             state = read_state(path)
             label = labels[names[folder]]
-            runs[path] = PlannedRun(config, path, label, state, retry is not None, cell_number=numbers[folder])
+            runs[path] = PlannedRun(
+                config, path, label, state, retry is not None, cell_number=numbers[folder]
+            )
     return list(runs.values())
 
 
@@ -101,7 +111,8 @@ def _refuse_two_evaluations(cells: Iterable[tuple[RunConfig, Path]]) -> None:
         for name, value in evaluation.items():
             if value != first[name]:
                 raise ConfigError(
-                    f"evaluation.{name}={first[name]},{value}: the same runs can't have both; give one value, and "
+                    f"evaluation.{name}={first[name]},{value}: the same runs can't have both; give "
+                    "one value, and "
                     f"evaluate them on others with {program('evaluate')}"
                 )
 
@@ -117,8 +128,14 @@ def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
             out.print(f"kept     {run_name(state)}: {run.evaluation_problem}")
     n_reevaluated = sum(run.is_due for run in runs if run.state.stage == "done")
     stages = ("pending", "failed")
-    by_stage, due = count_stages(states), [run for run in runs if run.is_due and run.state.stage in stages]
-    n_cells, n_seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
+    by_stage, due = (
+        count_stages(states),
+        [run for run in runs if run.is_due and run.state.stage in stages],
+    )
+    n_cells, n_seeds = (
+        len({run.path.parent for run in runs}),
+        len({run.config.seed for run in runs}),
+    )
     product = plural(n_cells, "cell")
     if n_cells * n_seeds == len(runs):
         product += f" x {plural(n_seeds, 'seed')}"
@@ -126,7 +143,10 @@ def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     parts = [f"{by_stage['done']} done"]
     parts += [f"{n_reevaluated} to evaluate again" if n_reevaluated else ""]
     parts += [f"{by_stage['running']} running elsewhere" if by_stage["running"] else ""]
-    parts += [f"{failed} failed before (retry=failed runs them again)" if failed else "", f"{len(due)} to run"]
+    parts += [
+        f"{failed} failed before (retry=failed runs them again)" if failed else "",
+        f"{len(due)} to run",
+    ]
     out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}")
 
 
@@ -160,7 +180,10 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         say_ignored_store()
     try:
         configs = [run.config for run in runs]
-        with Monitor(lambda: paths, len(paths)) as monitor, StoreWriter(lambda: paths, configs, monitor.say):
+        with (
+            Monitor(lambda: paths, len(paths)) as monitor,
+            StoreWriter(lambda: paths, configs, monitor.say),
+        ):
             _launch_all([run.path for run in due], launcher, monitor)
     finally:
         states = [read_state(path) for path in paths]
@@ -180,7 +203,9 @@ def _number_finished_runs(runs: Sequence[PlannedRun]) -> None:
 
 
 def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
-    """Launch what is due, wait for runs that other sweeps have taken, and resume those left unfinished."""
+    """Launch what is due, wait for runs that other sweeps have taken, and resume those left
+    unfinished.
+    """
     while due:
         free = [path for path in due if read_state(path).stage != "running"]
         if free:
@@ -189,16 +214,30 @@ def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
         else:
             time.sleep(POLL_S)
         stages = {path: read_state(path).stage for path in due}
-        due = [path for path in due if stages[path] == "running" or (stages[path] == "pending" and path not in free)]
+        due = [
+            path
+            for path in due
+            if stages[path] == "running" or (stages[path] == "pending" and path not in free)
+        ]
 
 
 def _check_all_done(states: Sequence[RunState]) -> None:
     """Raise FailedRunError unless every run is done."""
     by_stage = count_stages(states)
-    words: dict[Stage, str] = {"failed": "failed", "pending": "not done", "running": "still running"}
-    if not (parts := [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]):
+    words: dict[Stage, str] = {
+        "failed": "failed",
+        "pending": "not done",
+        "running": "still running",
+    }
+    if not (
+        parts := [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]
+    ):
         return
-    advice = "; rerun the same command to resume" if by_stage["pending"] or any(s.killed for s in states) else ""
+    advice = (
+        "; rerun the same command to resume"
+        if by_stage["pending"] or any(s.killed for s in states)
+        else ""
+    )
     if any(state.stage == "failed" and not state.killed for state in states):
         advice += "; retry=failed runs failed ones again"
     raise FailedRunError(f"of {plural(len(states), 'run')}, {' and '.join(parts)}{advice}")

@@ -1,4 +1,6 @@
-"""Worker processes: forked from a server that has imported torch, or fresh where a fork is unsafe."""
+"""Worker processes: forked from a server that has imported torch, or fresh where a fork is
+unsafe.
+"""
 
 import multiprocessing
 import os
@@ -15,12 +17,15 @@ from parking_exp.resources import THREAD_VARIABLES
 from parking_exp.sweeps.worker import work
 
 StartMethod = Literal["spawn", "forkserver"]
-"""How `multiprocessing` starts a process: afresh, or as a fork of the server that this process has started."""
+"""How `multiprocessing` starts a process: afresh, or as a fork of the server that this process has
+started.
+"""
 
 # On macOS, system libraries do not survive a fork.
 LOCAL_START_METHOD: StartMethod = "spawn" if sys.platform == "darwin" else "forkserver"
 SERVER_LOST = 255  # exit status of a process whose server was killed
-# `multiprocessing` starts a process and asks for the exit status of all others, and has no lock for it.
+# `multiprocessing` starts a process and asks for the exit status of all others, and has no lock for
+# it.
 _LOCK = threading.Lock()
 
 
@@ -34,7 +39,9 @@ class WorkerProcess:
         start_method: how it starts.
     """
 
-    def __init__(self, path: Path, cores: Sequence[int], device: str | None, start_method: StartMethod) -> None:
+    def __init__(
+        self, path: Path, cores: Sequence[int], device: str | None, start_method: StartMethod
+    ) -> None:
         with _LOCK:  # `start` changes it for a moment
             environment = dict(os.environ)
         if cores:
@@ -92,7 +99,9 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 @contextmanager
 def _hidden_program() -> Iterator[None]:
-    """Hide the program of this process from `multiprocessing`, which would run a user's script again in a worker."""
+    """Hide the program of this process from `multiprocessing`, which would run a user's script
+    again in a worker.
+    """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:

@@ -1,1 +1,3 @@
-"""Tasks: the interface, parking-v0 with its vectorized simulator, and any goal environment of Gymnasium."""
+"""Tasks: the interface, parking-v0 with its vectorized simulator, and any goal environment of
+Gymnasium.
+"""

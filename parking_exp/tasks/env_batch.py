@@ -21,7 +21,9 @@ class EnvBatch:
 
     def __init__(self, envs: Sequence[gym.Env], seeds: Sequence[int], failure_key: str) -> None:
         self.envs, self.failure_key = [*envs], failure_key
-        self._observations = [env.reset(seed=int(seed))[0] for env, seed in zip(envs, seeds, strict=True)]
+        self._observations = [
+            env.reset(seed=int(seed))[0] for env, seed in zip(envs, seeds, strict=True)
+        ]
 
     def __len__(self) -> int:
         return len(self.envs)
@@ -29,7 +31,8 @@ class EnvBatch:
     def observe(self) -> Observation:
         """Return the observations of all episodes."""
         return {
-            key: np.stack([observation[key] for observation in self._observations]) for key in self._observations[0]
+            key: np.stack([observation[key] for observation in self._observations])
+            for key in self._observations[0]
         }
 
     def step(self, actions: np.ndarray) -> Step:
@@ -37,7 +40,9 @@ class EnvBatch:
         results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
         self._observations = [result[0] for result in results]
         columns = [[result[index] for result in results] for index in (1, 2, 3)]
-        columns += [[result[4][key] for result in results] for key in (self.failure_key, "is_success")]
+        columns += [
+            [result[4][key] for result in results] for key in (self.failure_key, "is_success")
+        ]
         return Step(self.observe(), *(np.array(column) for column in columns))
 
     def keep(self, rows: np.ndarray) -> None:

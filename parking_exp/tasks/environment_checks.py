@@ -9,7 +9,13 @@ from gymnasium import spaces
 
 from parking_exp.errors import ConfigError, one_line
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.gymnasium_env import RANDOM_STEPS, SUCCESS_KEYS, GymnasiumReward, make_env, random_steps
+from parking_exp.tasks.gymnasium_env import (
+    RANDOM_STEPS,
+    SUCCESS_KEYS,
+    GymnasiumReward,
+    make_env,
+    random_steps,
+)
 from parking_exp.tasks.training_envs import ReplayActions
 
 TOLERANCE = 1e-6  # of rewards, which may be float32
@@ -47,9 +53,15 @@ def _space_problem(env: gym.Env, env_id: str) -> str | None:
         if not isinstance(entry, VECTORS) or len(entry.shape) != 1:
             return f"{env_id} has the {key} {entry}; it has to be a vector"
     if not isinstance(actions, spaces.Box) or not actions.is_bounded():
-        return f"{env_id} has the actions {actions}; they have to be continuous with finite bounds (Box)"
+        return (
+            f"{env_id} has the actions {actions}; they have to be continuous with finite bounds "
+            "(Box)"
+        )
     if not np.issubdtype(actions.dtype, np.floating):
-        return f"{env_id} has the actions {actions}; they have to be float32, and can be rounded in `step`"
+        return (
+            f"{env_id} has the actions {actions}; they have to be float32, and can be rounded in "
+            "`step`"
+        )
     if not env.has_wrapper_attr("compute_reward"):
         return f"{env_id} is not a goal environment: it has no compute_reward"
     if env.spec is None or env.spec.max_episode_steps is None:
@@ -58,48 +70,71 @@ def _space_problem(env: gym.Env, env_id: str) -> str | None:
 
 
 def _check_steps(reward: GymnasiumReward, env_id: str) -> Iterator[str]:
-    """Compare the rewards of random steps with those that `compute_reward` returns for the whole batch."""
+    """Compare the rewards of random steps with those that `compute_reward` returns for the whole
+    batch.
+    """
     config = reward.config
     achieved, desired, rewards, infos = reward.steps
     known = {key: None for info in infos for key in info}
     for name in ("success_key", "failure_key"):
         if (key := getattr(config, name)) is not None and key not in known:
-            yield f"env.{name}={key}: there is no such entry of info; there are {', '.join(known) or 'none'}"
+            yield (
+                f"env.{name}={key}: there is no such entry of info; there are "
+                f"{', '.join(known) or 'none'}"
+            )
             return
     if config.success_key is None and not any(key in known for key in SUCCESS_KEYS):
-        yield f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; name the entry in env.success_key"
+        yield (
+            f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; name the entry in "
+            "env.success_key"
+        )
         return
     try:
         computed = reward.compute(achieved, desired, infos)
     except Exception as error:  # whatever a function that was not written for batches raises
-        yield f"{env_id}: compute_reward is not vectorised: {type(error).__name__}: {one_line(error)}"
+        yield (
+            f"{env_id}: compute_reward is not vectorised: {type(error).__name__}: {one_line(error)}"
+        )
         return
     if len(computed) != len(rewards):
-        yield f"{env_id}: compute_reward is not vectorised: for {len(infos)} goals it returns {len(computed)} rewards"
+        yield (
+            f"{env_id}: compute_reward is not vectorised: for {len(infos)} goals it returns "
+            f"{len(computed)} rewards"
+        )
         return
     failed = np.array([bool(config.failure_key and info.get(config.failure_key)) for info in infos])
     different = np.flatnonzero(~(np.abs(computed - rewards) <= TOLERANCE) & ~failed)
     if len(different):
         step = different[0]
         yield (
-            f"{env_id}: compute_reward gives {computed[step]:.6g} for a step of reward {rewards[step]:.6g}; if that is "
+            f"{env_id}: compute_reward gives {computed[step]:.6g} for a step of reward "
+            f"{rewards[step]:.6g}; if that is "
             "a penalty for failure, set env.failure_key to the entry of info that reports it"
         )
         return
     if (ignored := _ignored_goal(reward, computed)) is not None:
         yield (
-            f"{env_id}: compute_reward ignores its {ignored}: whatever it is, {len(infos)} random steps have the same "
-            "rewards; compute them from the arguments, not from a goal or a state that the environment keeps"
+            f"{env_id}: compute_reward ignores its {ignored}: whatever it is, {len(infos)} random "
+            "steps have the same "
+            "rewards; compute them from the arguments, not from a goal or a state that the "
+            "environment keeps"
         )
         return
     rows = np.array([[float(info[key]) for key in reward.info_keys] for info in infos])
-    relabelled, _ = reward(achieved, desired, rows)  # calls `compute_terminated`, whose error is then reported
+    relabelled, _ = reward(
+        achieved, desired, rows
+    )  # calls `compute_terminated`, whose error is then reported
     if not np.allclose(relabelled, computed, rtol=0, atol=TOLERANCE):
-        yield f"{env_id}: compute_reward depends on more than goals and the numbers in every info; HER can't compute it"
+        yield (
+            f"{env_id}: compute_reward depends on more than goals and the numbers in every info; "
+            "HER can't compute it"
+        )
 
 
 def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
-    """Return which of the two goals never changes the rewards of random steps, `computed`, not even far away."""
+    """Return which of the two goals never changes the rewards of random steps, `computed`, not even
+    far away.
+    """
     achieved, _, _, infos = reward.steps
     far = (achieved + FAR).astype(achieved.dtype)
     try:
@@ -115,7 +150,10 @@ def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
 
 def resumes_exactly(config: GymnasiumConfig) -> bool:
     """Return whether an env continues identically after replaying the actions of another."""
-    with closing(ReplayActions(make_env(config))) as first, closing(ReplayActions(make_env(config))) as second:
+    with (
+        closing(ReplayActions(make_env(config))) as first,
+        closing(ReplayActions(make_env(config))) as second,
+    ):
         return _continues_identically(first, second)
 
 
@@ -127,7 +165,10 @@ def _continues_identically(first: ReplayActions, second: ReplayActions) -> bool:
     second.set_state(first.get_state())
     for _ in range(RANDOM_STEPS):
         action = first.action_space.sample()
-        (expected, reward, *ended, _), (observation, *others, _) = first.step(action), second.step(action)
+        (expected, reward, *ended, _), (observation, *others, _) = (
+            first.step(action),
+            second.step(action),
+        )
         same = all(np.array_equal(expected[key], observation[key]) for key in expected)
         if not (same and [reward, *ended] == others):
             return False

@@ -7,7 +7,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 class TaskFeatures(BaseFeaturesExtractor):
     """Features without parameters; those of a transition depend on its observation alone.
 
-    They are computed inside the policy, so goals that HER relabels pass through them like any other.
+    They are computed inside the policy, so goals that HER relabels pass through them like any
+    other.
     """
 
 
@@ -18,5 +19,7 @@ class SymmetricFeatures(TaskFeatures):
     """
 
     def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return actions, shape (batch, actions), some with the opposite sign where the observation is mirrored."""
+        """Return actions, shape (batch, actions), some with the opposite sign where the observation
+        is mirrored.
+        """
         raise NotImplementedError

@@ -17,7 +17,9 @@ class GymnasiumConfig(TaskConfig):
     simulators: ClassVar[tuple[str, ...]] = ("gymnasium",)
     simulator: ClassVar[str] = "gymnasium"
     training_keys: ClassVar[tuple[str, ...]] = ("vectorization",)
-    training_seeds: ClassVar[range] = range(2**30, 2**31 - MAX_ENVS)  # simulators in C may take 31 bits
+    training_seeds: ClassVar[range] = range(
+        2**30, 2**31 - MAX_ENVS
+    )  # simulators in C may take 31 bits
 
     task: Literal["gymnasium"]
     id: Annotated[str, Field(pattern=ENV_ID_PATTERN)]
@@ -35,29 +37,54 @@ class GymnasiumConfig(TaskConfig):
         """Yield a sentence for a success that would also count as a failure, and for a window."""
         success_keys = (self.success_key,) if self.success_key else ("is_success", "success")
         if self.failure_key in success_keys:
-            yield f"env.failure_key={self.failure_key} tells of success; name the entry that tells of failure, or null"
+            yield (
+                f"env.failure_key={self.failure_key} tells of success; name the entry that tells "
+                "of failure, or null"
+            )
         mode = self.kwargs.get("render_mode")
         if mode not in (None, "rgb_array"):
-            yield f"env.kwargs.render_mode={mode}: envs open no windows here; leave it out, videos are made without it"
+            yield (
+                f"env.kwargs.render_mode={mode}: envs open no windows here; leave it out, videos "
+                "are made without it"
+            )
 
     @property
     def imports(self) -> dict[str, str]:
         """Keys by which making an env may import a module or open a file, and their values."""
-        unsafe = {f"kwargs.{key}": str(value) for key, value in self.kwargs.items() if not _is_harmless(value)}
+        unsafe = {
+            f"kwargs.{key}": str(value)
+            for key, value in self.kwargs.items()
+            if not _is_harmless(value)
+        }
         return unsafe | ({"id": self.id} if ":" in self.id else {})
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for the policy's features, or an argument of the buffer, that the task does not support."""
+        """Yield a sentence for the policy's features, or an argument of the buffer, that the task
+        does not support.
+        """
         if features != "raw":
-            yield f"algorithm.features={features} is available for parking only; use algorithm.features=raw"
+            yield (
+                f"algorithm.features={features} is available for parking only; use "
+                "algorithm.features=raw"
+            )
         if buffer.get("relabel_collision") == "keep":
-            yield "buffer.relabel_collision=keep needs the penalty for a failure, which is unknown; use exclude or sb3"
+            yield (
+                "buffer.relabel_collision=keep needs the penalty for a failure, which is unknown; "
+                "use exclude or sb3"
+            )
         if buffer.get("goal_velocity") == "zero":
-            yield "buffer.goal_velocity=zero needs to know which entries of a goal are velocities; use achieved"
+            yield (
+                "buffer.goal_velocity=zero needs to know which entries of a goal are velocities; "
+                "use achieved"
+            )
 
 
 def _is_harmless(value: object) -> bool:
     """Return whether an argument can name neither a module nor a file."""
     if isinstance(value, list):
         return all(map(_is_harmless, value))
-    return value is None or isinstance(value, int | float) or (isinstance(value, str) and value.isidentifier())
+    return (
+        value is None
+        or isinstance(value, int | float)
+        or (isinstance(value, str) and value.isidentifier())
+    )

@@ -1,4 +1,6 @@
-"""Goal environments of Gymnasium: made from a config, with the entries of `info` and the reward that HER needs."""
+"""Goal environments of Gymnasium: made from a config, with the entries of `info` and the reward
+that HER needs.
+"""
 
 import importlib
 import importlib.util
@@ -16,7 +18,14 @@ import numpy as np
 from parking_exp.errors import ConfigError, one_line, suggestion
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 
-ROBOTICS = ("Fetch", "Hand", "PointMaze", "AntMaze", "FrankaKitchen", "Adroit")  # how ids of gymnasium-robotics begin
+ROBOTICS = (
+    "Fetch",
+    "Hand",
+    "PointMaze",
+    "AntMaze",
+    "FrankaKitchen",
+    "Adroit",
+)  # how ids of gymnasium-robotics begin
 SUCCESS_KEYS = ("is_success", "success")
 RANDOM_STEPS = 60  # at least; see `random_steps`
 MAX_RANDOM_STEPS = 1_000
@@ -41,7 +50,9 @@ class GoalInfo(gym.Wrapper):
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def close(self) -> None:
-        """Close the env, and the one of its reward. Errors are ignored: all that was asked of the env is done."""
+        """Close the env, and the one of its reward. Errors are ignored: all that was asked of the
+        env is done.
+        """
         with suppress(Exception):
             self.env.close()
         self.goal_reward.close()
@@ -50,8 +61,8 @@ class GoalInfo(gym.Wrapper):
 class GymnasiumReward:
     """The `compute_reward` of an environment, for many goals at once.
 
-    A goal is reached where `compute_terminated` says so, if episodes end there, or else where the reward is that of the
-    goal itself.
+    A goal is reached where `compute_terminated` says so, if episodes end there, or else where the
+    reward is that of the goal itself.
     """
 
     failure_penalty, failure_key = 0.0, "is_failure"
@@ -62,7 +73,9 @@ class GymnasiumReward:
 
     @cached_property
     def env(self) -> gym.Env:
-        """Environment whose `compute_reward` is called; made late, since this object is pickled for other processes."""
+        """Environment whose `compute_reward` is called; made late, since this object is pickled for
+        other processes.
+        """
         return make_env(self.config)
 
     def close(self) -> None:
@@ -72,7 +85,9 @@ class GymnasiumReward:
 
     @cached_property
     def steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Return the steps of `random_steps`, and leave the environment at the start of an episode."""
+        """Return the steps of `random_steps`, and leave the environment at the start of an
+        episode.
+        """
         assert isinstance(self.env, GoalInfo)
         steps = random_steps(self.env.env)
         self.env.reset(seed=0)
@@ -80,7 +95,9 @@ class GymnasiumReward:
 
     @cached_property
     def terminates(self) -> bool:
-        """Whether an episode ends where its goal is reached, as `compute_terminated` of the environment says."""
+        """Whether an episode ends where its goal is reached, as `compute_terminated` of the
+        environment says.
+        """
         _, (goal, *_), _, (info, *_) = self.steps
         return bool(self._compute_terminated(goal, goal, info))
 
@@ -99,13 +116,18 @@ class GymnasiumReward:
             needed = not np.array_equal(without, self.compute(achieved, desired, infos))
         except Exception:  # whatever a function raises that misses something
             needed = True
-        return tuple(key for key in infos[0] if needed and all(isinstance(i.get(key), NUMBERS) for i in infos))
+        return tuple(
+            key
+            for key in infos[0]
+            if needed and all(isinstance(i.get(key), NUMBERS) for i in infos)
+        )
 
     @cached_property
     def _infos(self) -> Callable[[list[dict[str, Any]]], Any]:
         """The type in which `compute_reward` takes many infos.
 
-        A list, or an array where it takes no list: Stable-Baselines3 passes both (`copy_info_dict`).
+        A list, or an array where it takes no list: Stable-Baselines3 passes both
+        (`copy_info_dict`).
         """
         achieved, desired, _, infos = self.steps
         try:
@@ -114,7 +136,9 @@ class GymnasiumReward:
             return partial(np.array, dtype=object)
         return list
 
-    def compute(self, achieved: np.ndarray, desired: np.ndarray, infos: list[dict[str, Any]]) -> np.ndarray:
+    def compute(
+        self, achieved: np.ndarray, desired: np.ndarray, infos: list[dict[str, Any]]
+    ) -> np.ndarray:
         """Return the rewards that the environment or one of its wrappers computes, shape (n,)."""
         infos = self._infos(infos)
         rewards = self.env.get_wrapper_attr("compute_reward")(achieved, desired, infos)
@@ -123,26 +147,37 @@ class GymnasiumReward:
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape (n, info_keys)."""
+        """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape
+        (n, info_keys).
+        """
         rows = np.empty((len(desired), 0)) if info is None else info
         infos = [dict(zip(self.info_keys, row.tolist(), strict=False)) for row in rows]
         reward = self.compute(achieved, desired, infos)
         if self.terminates:  # it takes one goal at a time
-            return reward, np.array(list(map(self._compute_terminated, achieved, desired, infos)), bool)
+            return reward, np.array(
+                list(map(self._compute_terminated, achieved, desired, infos)), bool
+            )
         return reward, reward >= self.compute(desired, desired, infos)
 
 
 def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
     """Return achieved goals, desired goals, rewards and infos of random steps, always the same.
 
-    At least one episode ends, unless it is longer than MAX_RANDOM_STEPS: some entries of `info` appear only at the end.
+    At least one episode ends, unless it is longer than MAX_RANDOM_STEPS: some entries of `info`
+    appear only at the end.
     """
     env.action_space.seed(0)
     env.reset(seed=0)
     steps, n_ended = list[Any](), 0
     while len(steps) < RANDOM_STEPS or (not n_ended and len(steps) < MAX_RANDOM_STEPS):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        steps.append((*(np.array(observation[key]) for key in ("achieved_goal", "desired_goal")), float(reward), info))
+        steps.append(
+            (
+                *(np.array(observation[key]) for key in ("achieved_goal", "desired_goal")),
+                float(reward),
+                info,
+            )
+        )
         if terminated or truncated:
             n_ended += 1
             env.reset()
@@ -159,33 +194,49 @@ def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env
     if ":" not in config.id and config.id not in gym.registry:
         for package in ("gymnasium_robotics", "highway_env"):
             if config.id not in gym.registry and importlib.util.find_spec(package):
-                with redirect_stdout(sys.stderr), redirect_stderr(io.StringIO()):  # a notice about other environments
+                with (
+                    redirect_stdout(sys.stderr),
+                    redirect_stderr(io.StringIO()),
+                ):  # a notice about other environments
                     gym.register_envs(importlib.import_module(package))
     options = {**config.kwargs, **({"render_mode": render_mode} if render_mode else {})}
     try:
         with redirect_stdout(sys.stderr), redirect_stderr(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # deprecations inside of other packages
-            env = gym.make(config.id, max_episode_steps=config.max_episode_steps, disable_env_checker=True, **options)
+            env = gym.make(
+                config.id,
+                max_episode_steps=config.max_episode_steps,
+                disable_env_checker=True,
+                **options,
+            )
     except (gym.error.UnregisteredEnv, ModuleNotFoundError) as error:
         raise ConfigError(_not_found(config.id, error)) from error
     except gym.error.DependencyNotInstalled as error:
         raise ConfigError(f"env.id={config.id}: {error}") from error
     except Exception as error:  # whatever a user's module or class raises
         arguments = f", env.kwargs={config.kwargs}" if config.kwargs else ""
-        raise ConfigError(f"env.id={config.id}{arguments}: {type(error).__name__}: {one_line(error)}") from error
+        raise ConfigError(
+            f"env.id={config.id}{arguments}: {type(error).__name__}: {one_line(error)}"
+        ) from error
     return GoalInfo(env, config)
 
 
 def _not_found(env_id: str, error: Exception) -> str:
     if isinstance(error, ModuleNotFoundError):
         name = getattr(error.__cause__, "name", None) or error.name
-        return f"env.id={env_id} needs the module {name}, which is not installed or not on PYTHONPATH"
+        return (
+            f"env.id={env_id} needs the module {name}, which is not installed or not on PYTHONPATH"
+        )
     if env_id.startswith(ROBOTICS) and not importlib.util.find_spec("gymnasium_robotics"):
-        return f"env.id={env_id} needs gymnasium-robotics, which is not installed; pip install 'parking-exp[robotics]'"
+        return (
+            f"env.id={env_id} needs gymnasium-robotics, which is not installed; pip install "
+            "'parking-exp[robotics]'"
+        )
     if ":" in env_id:
         module, name = env_id.split(":")
         return f"env.id={env_id}: {module} registers no {name}{suggestion(name, gym.registry)}"
     return (
-        f"env.id={env_id} is not registered with Gymnasium; if another package has it, name the module that registers "
+        f"env.id={env_id} is not registered with Gymnasium; if another package has it, name the "
+        "module that registers "
         f"it: env.id=MODULE:{env_id}{suggestion(env_id, gym.registry)}"
     )

@@ -81,7 +81,10 @@ class GymnasiumTask:
     def notes(self) -> Iterator[str]:
         """Yield whether an interrupted run resumes exactly."""
         if not resumes_exactly(self.config):
-            yield f"{self.config.id} is not deterministic: an interrupted run resumes, but not bit-identically"
+            yield (
+                f"{self.config.id} is not deterministic: an interrupted run resumes, but not "
+                "bit-identically"
+            )
 
     def features(self, name: str) -> None:
         """Return None, as there are raw features only."""
@@ -98,7 +101,9 @@ class GymnasiumTask:
                 done = False
                 while not done:
                     yield _frame(env, f"seed {seed}")
-                    action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
+                    action = policy({key: value[np.newaxis] for key, value in observation.items()})[
+                        0
+                    ]
                     observation, _, terminated, truncated, info = env.step(action)
                     done = terminated or truncated
                 ending = outcome(self.failure, info["is_failure"], info["is_success"])
@@ -133,14 +138,17 @@ def _process_errors() -> Iterator[None]:
         yield
     except (EOFError, ConnectionError) as error:
         raise EnvProcessError(
-            "the process of an env has ended, its own error is printed above; env.vectorization=sync needs no processes"
+            "the process of an env has ended, its own error is printed above; "
+            "env.vectorization=sync needs no processes"
         ) from error
 
 
 def _env_of_worker(config: GymnasiumConfig, spec: EnvSpec | None) -> gym.Env:
-    """Make an env in a process of its own, which leaves signals to the training: it ends with the pipe.
+    """Make an env in a process of its own, which leaves signals to the training: it ends with the
+    pipe.
 
-    The process knows only environments that some module registers, not those of a notebook: `spec` tells.
+    The process knows only environments that some module registers, not those of a notebook: `spec`
+    tells.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -154,18 +162,26 @@ def _frame(env: gym.Env, caption: str) -> np.ndarray:
     """Render an env, and write a caption on the frame."""
     frame = env.render()
     if not isinstance(frame, np.ndarray):
-        raise VideoError(f"no video: the environment renders {type(frame).__name__} instead of an array")
+        raise VideoError(
+            f"no video: the environment renders {type(frame).__name__} instead of an array"
+        )
     return add_caption(frame, caption)
 
 
 def _mujoco_backend() -> str:
-    """Return how MuJoCo renders without a display on this machine; VideoError where neither EGL nor OSMesa works.
+    """Return how MuJoCo renders without a display on this machine; VideoError where neither EGL nor
+    OSMesa works.
 
     Each is tried in a process of its own: a failed attempt leaves settings that break the next.
     """
     program = [sys.executable, "-c", "import mujoco; mujoco.GLContext(8, 8).make_current()"]
     for backend in ("egl", "osmesa"):
         environment = {**os.environ, "MUJOCO_GL": backend}
-        if subprocess.run(program, env=environment, capture_output=True, check=False).returncode == 0:
+        if (
+            subprocess.run(program, env=environment, capture_output=True, check=False).returncode
+            == 0
+        ):
             return backend
-    raise VideoError("no video: MuJoCo renders by EGL or OSMesa, and neither works here; install e.g. libosmesa6")
+    raise VideoError(
+        "no video: MuJoCo renders by EGL or OSMesa, and neither works here; install e.g. libosmesa6"
+    )

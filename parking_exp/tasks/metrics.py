@@ -1,8 +1,8 @@
 """Metrics of evaluation episodes: each is declared once, by its task.
 
-Evaluation, `episodes.csv`, the store, the frames of `parking_exp.results` and the tables of reports read them. To add a
-metric, add an entry to a task's metrics: every evaluation then computes it, and runs that were evaluated before lack it
-(NaN).
+Evaluation, `episodes.csv`, the store, the frames of `parking_exp.results` and the tables of reports
+read them. To add a metric, add an entry to a task's metrics: every evaluation then computes it, and
+runs that were evaluated before lack it (NaN).
 """
 
 from collections.abc import Callable
@@ -25,10 +25,14 @@ class Episode:
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric of evaluation episodes, of which an evaluation has the rate (of a bool) or the mean (of a number)."""
+    """A metric of evaluation episodes, of which an evaluation has the rate (of a bool) or the mean
+    (of a number).
+    """
 
     name: str  # of its column in `episodes.csv`; outcomes share the column `outcome`
-    of: Callable[[Episode], bool | int | float]  # its value, computed from an episode that has ended
+    of: Callable[
+        [Episode], bool | int | float
+    ]  # its value, computed from an episode that has ended
     label: str  # heading in tables
     unit: str = ""  # shown behind the label
     dtype: Literal["bool", "int64", "float64"] = "float64"  # of the column in frames
@@ -46,7 +50,9 @@ class Metric:
 
     @property
     def key(self) -> str:
-        """Name in the summary of an evaluation, e.g. `success_rate`; the store has it as `certified/success_rate`."""
+        """Name in the summary of an evaluation, e.g. `success_rate`; the store has it as
+        `certified/success_rate`.
+        """
         return f"{self.name}_{'rate' if self.is_rate else 'mean'}"
 
     @property
@@ -76,20 +82,31 @@ def outcome_rate(name: str, colour: str) -> Metric:
     return rate(name, lambda e: e.outcome == name, colour=colour, is_outcome=True)
 
 
-# Okabe and Ito's palette, distinguishable with any colour vision. In `Results.runs`, `steps` are the env steps trained.
+# Okabe and Ito's palette, distinguishable with any colour vision. In `Results.runs`, `steps` are
+# the env steps trained.
 SUCCESS, TIMEOUT = outcome_rate("success", "#009E73"), outcome_rate("timeout", "#56B4E9")
 FAILURE_COLOUR = "#D55E00"
 STEPS = Metric(
     "steps", lambda e: e.steps, "Steps an episode", "", "int64", column="episode_steps",
     in_curves=True, in_reports=True
 )  # fmt: skip
-RETURN = Metric("return", lambda e: e.total_reward, "Return", column="episode_return", in_curves=True)
-GYMNASIUM_METRICS: tuple[Metric, ...] = (SUCCESS, outcome_rate("failure", FAILURE_COLOUR), TIMEOUT, STEPS, RETURN)
+RETURN = Metric(
+    "return", lambda e: e.total_reward, "Return", column="episode_return", in_curves=True
+)
+GYMNASIUM_METRICS: tuple[Metric, ...] = (
+    SUCCESS,
+    outcome_rate("failure", FAILURE_COLOUR),
+    TIMEOUT,
+    STEPS,
+    RETURN,
+)
 """Metrics of any goal environment."""
 
 
 def outcome(failure: str, failed: bool, is_success: bool) -> str:
-    """Return how an episode ended; failing takes precedence over success, and is called `failure`."""
+    """Return how an episode ended; failing takes precedence over success, and is called
+    `failure`.
+    """
     return failure if failed else "success" if is_success else "timeout"
 
 

@@ -1,4 +1,6 @@
-"""Registry of tasks: the `env` group and the metrics of all of them, and the task and report of each."""
+"""Registry of tasks: the `env` group and the metrics of all of them, and the task and report of
+each.
+"""
 
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Annotated

@@ -59,7 +59,9 @@ class GoalReward(Protocol):
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape (n, info_keys)."""
+        """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape
+        (n, info_keys).
+        """
 
 
 class EvaluationBatch(Protocol):
@@ -78,7 +80,9 @@ class EvaluationBatch(Protocol):
         """Keep only some of the episodes, by mask."""
 
     def ending(self, row: int) -> Any:
-        """Return the state at the end of an episode that has just ended, as `Episode.end` of its metrics."""
+        """Return the state at the end of an episode that has just ended, as `Episode.end` of its
+        metrics.
+        """
 
 
 class Task(Protocol):
@@ -95,7 +99,9 @@ class Task(Protocol):
         """Its `env` group."""
 
     def training_envs(self, n_envs: int) -> "VecEnv":
-        """Make training envs: `training_envs.get_state` can save them, and HER relabels with their `goal_reward`."""
+        """Make training envs: `training_envs.get_state` can save them, and HER relabels with their
+        `goal_reward`.
+        """
 
     def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
         """Start the episodes of some seeds on one of the config's `simulators`."""
@@ -138,7 +144,9 @@ class TaskFigure:
 
 @dataclass(frozen=True)
 class TaskSection:
-    """A section of reports that one task has: figures, and a CSV table of the rows, dicts, in each cell's data."""
+    """A section of reports that one task has: figures, and a CSV table of the rows, dicts, in each
+    cell's data.
+    """
 
     id: str
     title: str
@@ -153,8 +161,8 @@ class TaskReport:
     Attributes:
         methods: sentences on how results are defined.
         sections: of the report, left out where no cell has their data.
-        rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of its runs, and from
-            its config by dotted keys.
+        rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of
+            its runs, and from its config by dotted keys.
     """
 
     methods: Sequence[str]

@@ -11,9 +11,11 @@ class TaskConfig(ConfigModel):
 
     Attributes:
         simulators: the first trains; the last is the reference that results are cross-checked on.
-        agent_keys: keys that evaluation takes from an agent's training, e.g. what the agent observes.
+        agent_keys: keys that evaluation takes from an agent's training, e.g. what the agent
+            observes.
         training_keys: keys that do not change the episodes of an evaluation.
-        training_seeds: of the first training env, from which the others count up; those of evaluation are smaller.
+        training_seeds: of the first training env, from which the others count up; those of
+            evaluation are smaller.
     """
 
     simulators: ClassVar[tuple[str, ...]]
@@ -48,5 +50,7 @@ class TaskConfig(ConfigModel):
         yield from ()
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for the policy's features, or an argument of the buffer, that the task does not support."""
+        """Yield a sentence for the policy's features, or an argument of the buffer, that the task
+        does not support.
+        """
         yield from ()

@@ -26,7 +26,9 @@ class ReplayActions(gym.Wrapper):
         self._start: dict[str, Any] | None = None
         self._actions: list[np.ndarray] = []
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         rng = self.unwrapped.np_random if seed is None else seeding.np_random(seed)[0]
         self._start, self._actions = rng.bit_generator.state, []
@@ -38,8 +40,12 @@ class ReplayActions(gym.Wrapper):
         return self.env.step(action)
 
     def get_state(self) -> dict[str, Any]:
-        """Return how the episode started, None before the first one, and the actions since, shape (steps, actions)."""
-        actions = np.reshape(np.array(self._actions, self.action_space.dtype), (-1, *self.action_space.shape))
+        """Return how the episode started, None before the first one, and the actions since, shape
+        (steps, actions).
+        """
+        actions = np.reshape(
+            np.array(self._actions, self.action_space.dtype), (-1, *self.action_space.shape)
+        )
         return {"start": self._start, "actions": actions}
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -60,7 +66,8 @@ def make_training_envs(
     Args:
         config: the group.
         n_envs: number of envs.
-        monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
+        monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are
+            appended.
         elapsed_s: time that a resumed run has taken before, so that the file's clock continues.
     """
     task = make_task(config)
@@ -69,7 +76,9 @@ def make_training_envs(
     if monitor is not None:
         header: dict[str, float | str] = {"t_start": envs.t_start, "env_id": task.env_id}
         is_new = not monitor.exists()
-        envs.results_writer = ResultsWriter(str(monitor), header, task.monitored, override_existing=is_new)
+        envs.results_writer = ResultsWriter(
+            str(monitor), header, task.monitored, override_existing=is_new
+        )
     return envs
 
 

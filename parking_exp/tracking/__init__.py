@@ -1,1 +1,3 @@
-"""The MLflow store: mirroring run directories to it (metrics, tags, artifacts), and reading it in bulk."""
+"""The MLflow store: mirroring run directories to it (metrics, tags, artifacts), and reading it in
+bulk.
+"""

@@ -1,9 +1,10 @@
-"""Connect to an MLflow store: without hanging, and with a lock that the writers of an embedded store share.
+"""Connect to an MLflow store: without hanging, and with a lock that the writers of an embedded
+store share.
 
-The embedded store is a sqlite database. It takes one writer at a time, and MLflow has a second one wait for 20 s before
-it fails with "database is locked", so our writers queue for a lock file beside the database. Its journal stays sqlite's
-own rollback journal: a write-ahead log needs memory shared between processes, which network file systems lack.
-Readers (`mlflow ui`) need no lock.
+The embedded store is a sqlite database. It takes one writer at a time, and MLflow has a second one
+wait for 20 s before it fails with "database is locked", so our writers queue for a lock file beside
+the database. Its journal stays sqlite's own rollback journal: a write-ahead log needs memory shared
+between processes, which network file systems lack. Readers (`mlflow ui`) need no lock.
 """
 
 import logging
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 OUTPUT_DIR_TAG = "parking_exp.output_dir"
-"""Tag of experiments in an output directory's own store: the directory in which their artifacts are located."""
+"""Tag of experiments in an output directory's own store: the directory in which their artifacts are
+located.
+"""
 WAIT_S = 120  # for other writers
 MAX_REASON_LENGTH = 200
 ENVIRONMENT = {
@@ -37,7 +40,8 @@ ENVIRONMENT = {
     "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",  # [s], of one answer
     "PGCONNECT_TIMEOUT": "10",  # [s]
-    # A kept connection would keep writing into a database file that was deleted or replaced meanwhile.
+    # A kept connection would keep writing into a database file that was deleted or replaced
+    # meanwhile.
     "MLFLOW_SQLALCHEMYSTORE_POOLCLASS": "NullPool",
 }
 
@@ -47,19 +51,29 @@ def import_mlflow() -> None:
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
     if os.path.expanduser("~") == "~":  # noqa: PTH111 (the other way raises)
-        os.environ["HOME"] = "/nonexistent"  # a user of a container may have none, for which mlflow's import fails
+        os.environ["HOME"] = (
+            "/nonexistent"  # a user of a container may have none, for which mlflow's import fails
+        )
     import mlflow  # noqa: F401
 
     for name in ("alembic", "mlflow"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
+    logging.getLogger("mlflow.store").setLevel(
+        logging.CRITICAL
+    )  # it prints the traceback of what it raises
 
 
 @cache
 def say_ignored_store() -> None:
-    """Say once that MLflow's own variable chooses no store; else run directories of others would be sent there."""
+    """Say once that MLflow's own variable chooses no store; else run directories of others would be
+    sent there.
+    """
     if os.environ.get("MLFLOW_TRACKING_URI"):
-        say("MLFLOW_TRACKING_URI is ignored; tracking.uri=URI chooses a store other than output_dir's", stderr=True)
+        say(
+            "MLFLOW_TRACKING_URI is ignored; tracking.uri=URI chooses a store other than "
+            "output_dir's",
+            stderr=True,
+        )
 
 
 def connect(uri: str) -> "MlflowClient":
@@ -71,7 +85,9 @@ def connect(uri: str) -> "MlflowClient":
     path = database(uri)
     if path is not None and not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        with write_lock(uri):  # processes that make the same store at once collide in MLflow's migrations
+        with write_lock(
+            uri
+        ):  # processes that make the same store at once collide in MLflow's migrations
             if not path.exists():
                 _make_database(path)
     return open_client(uri)
@@ -99,17 +115,25 @@ def reason(error: BaseException) -> str:
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
         causes.append(cause)
     if not isinstance(error, ParkingError):
-        error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
+        error = next(
+            (cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)),
+            error,
+        )
     return (one_line(error) or type(error).__name__)[:MAX_REASON_LENGTH]
 
 
 def _make_database(path: Path) -> None:
-    """Make an empty store under another name and rename it, as MLflow's migrations are not atomic in sqlite."""
+    """Make an empty store under another name and rename it, as MLflow's migrations are not atomic
+    in sqlite.
+    """
     from mlflow import MlflowClient
 
     new = path.with_name(f".{path.name}.new")
     leftovers = (new, Path(f"{new}-journal"))  # of a process that was killed
-    for file in (*leftovers, Path(f"{path}-journal")):  # sqlite would apply an old journal to the new database
+    for file in (
+        *leftovers,
+        Path(f"{path}-journal"),
+    ):  # sqlite would apply an old journal to the new database
         file.unlink(missing_ok=True)
     try:
         MlflowClient(f"{SQLITE}{new}").search_experiments(max_results=1)

@@ -1,10 +1,10 @@
 """Mirror run directories to an MLflow store; the directory is the truth, and the store its index.
 
-`mirror` sends what the store lacks of a run directory, in any state that a kill can leave it in. The tag `mirrored`
-of a stored run is a digest of the files that the store has; it and the tag `status` are written last, so that a run is
-`done` in the store once all of it is there. Metrics are sent as soon as they are final: up to the last checkpoint, from
-which an interrupted run resumes, and all of them when the run is done. Files of a finished run that have changed since
-are not sent.
+`mirror` sends what the store lacks of a run directory, in any state that a kill can leave it in.
+The tag `mirrored` of a stored run is a digest of the files that the store has; it and the tag
+`status` are written last, so that a run is `done` in the store once all of it is there. Metrics are
+sent as soon as they are final: up to the last checkpoint, from which an interrupted run resumes,
+and all of them when the run is done. Files of a finished run that have changed since are not sent.
 """
 
 import os
@@ -17,7 +17,14 @@ from filelock import FileLock
 from rich.progress import track
 
 from parking_exp.config.cell_labels import setting_text, settings_of
-from parking_exp.config.paths import SQLITE, database, default_uri, is_same_store, relative_path, resolved
+from parking_exp.config.paths import (
+    SQLITE,
+    database,
+    default_uri,
+    is_same_store,
+    relative_path,
+    resolved,
+)
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError, one_line, plural
@@ -30,7 +37,12 @@ from parking_exp.runs.run_files import CONFIG_FILE, STATUS_FILE
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.terminal import console, program, say
 from parking_exp.tracking.client import lock_path, reason, write_lock
-from parking_exp.tracking.embedded_store import is_usable, remove_unfinished, set_aside, unfinished_path
+from parking_exp.tracking.embedded_store import (
+    is_usable,
+    remove_unfinished,
+    set_aside,
+    unfinished_path,
+)
 from parking_exp.tracking.store import Store
 
 if TYPE_CHECKING:
@@ -53,9 +65,11 @@ def mirror(directory: RunDirectory, store: Store) -> None:
 
 
 def prepare(store: Store) -> None:
-    """Make the store inside of an output directory again from the run directories, if it can't be used.
+    """Make the store inside of an output directory again from the run directories, if it can't be
+    used.
 
-    It is made under another name, and renamed. Runs that can't be sent are named, and left to the next sync.
+    It is made under another name, and renamed. Runs that can't be sent are named, and left to the
+    next sync.
 
     Raises whatever MLflow, SQLAlchemy or the disk raise.
     """
@@ -85,10 +99,14 @@ def _build(path: Path, uri: str) -> None:
     new = Store(f"{SQLITE}{unfinished}", output_dir)
     new.experiments()  # which makes it, even for no run
     directories = [RunDirectory(run_dir) for run_dir in find_runs(output_dir)]
-    tracked = [run for run in directories if run.tracking_uri and is_same_store(run.tracking_uri, uri)]
+    tracked = [
+        run for run in directories if run.tracking_uri and is_same_store(run.tracking_uri, uri)
+    ]
     is_quick = len(tracked) < FEW_RUNS
     problems = []
-    for directory in track(tracked, "making the store", console=console(stderr=True), transient=True, disable=is_quick):
+    for directory in track(
+        tracked, "making the store", console=console(stderr=True), transient=True, disable=is_quick
+    ):
         try:
             _send(directory, new, uri, is_new=True)
         except Exception as error:  # of this run; the store has the others
@@ -124,22 +142,36 @@ def _send(directory: RunDirectory, store: Store, uri: str, *, is_new: bool = Fal
     for each in earlier:
         with store.writing() as client:
             client.delete_run(each.info.run_id)  # it can be restored in MLflow's UI
-    # Nobody reads a store that is being made: its runs have their last tags and names from the start.
+    # Nobody reads a store that is being made: its runs have their last tags and names from the
+    # start.
     last_tags = {DIGEST: digest, STATUS: status}
     last_name = f"{_rate(directory)}{run_name}" if status == "done" else run_name
     if run is None:
         start_ms = int(tags[STARTED]) if STARTED in tags else None
         first_tags = last_tags if is_new else {STATUS: "running"}
         with store.writing() as client:
-            run = client.create_run(experiment_id, start_ms, tags | first_tags, last_name if is_new else run_name)
+            run = client.create_run(
+                experiment_id, start_ms, tags | first_tags, last_name if is_new else run_name
+            )
     if directory.run_id != run.info.run_id or directory.tracking_uri != uri:
         directory.update(run_id=run.info.run_id, tracking_uri=uri)
     is_same = (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"])
     if not is_new and is_same and store.has_artifacts(run, files):
         return
-    if not is_new and status == "done" and run.data.tags.get(STATUS) == "done" and not directory.has_hashes:
-        raise StoreError("files changed, and result.json has no hashes to check them; the store keeps what it has")
-    params = {key: setting_text(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
+    if (
+        not is_new
+        and status == "done"
+        and run.data.tags.get(STATUS) == "done"
+        and not directory.has_hashes
+    ):
+        raise StoreError(
+            "files changed, and result.json has no hashes to check them; the store keeps what it "
+            "has"
+        )
+    params = {
+        key: setting_text(value)[:MAX_PARAM_LENGTH]
+        for key, value in settings_of(config.plain()).items()
+    }
     store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
     for name, file in files.items():
         store.put_artifact(run, name, read_file(file))
@@ -150,7 +182,9 @@ def _send(directory: RunDirectory, store: Store, uri: str, *, is_new: bool = Fal
             last = files.get(METRICS_FILE, files[CONFIG_FILE])
             end_ms = last.stat().st_mtime_ns // 1_000_000
             client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
-        if run.info.run_name == run_name != last_name:  # the first thing that MLflow's UI shows of a run
+        if (
+            run.info.run_name == run_name != last_name
+        ):  # the first thing that MLflow's UI shows of a run
             client.update_run(run.info.run_id, name=last_name)
     store.log(run, {}, last_tags)
 
@@ -168,20 +202,27 @@ def try_mirror(directory: RunDirectory, store: Store) -> str | None:
 
 
 def follow_store(directory: RunDirectory, config: RunConfig) -> bool:
-    """Make a finished run one of the store that a command names; return whether it was tracked elsewhere."""
+    """Make a finished run one of the store that a command names; return whether it was tracked
+    elsewhere.
+    """
     if not config.tracking.mlflow or directory.status != "done":
         return False
     tracked_in = directory.tracking_uri
-    if tracked_in is not None and (config.tracking.uri is None or is_same_store(tracked_in, config.store_uri)):
+    if tracked_in is not None and (
+        config.tracking.uri is None or is_same_store(tracked_in, config.store_uri)
+    ):
         return False
     directory.update(tracking_uri=config.store_uri)
     return True
 
 
-def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterator[tuple[RunDirectory, str | None]]:
+def mirror_missing(
+    directories: Iterable[RunDirectory], store: Store
+) -> Iterator[tuple[RunDirectory, str | None]]:
     """Mirror the runs that a store lacks or has an older state of, found by one search.
 
-    Runs under way are skipped. The store that a run directory names is not connected to: it may come from elsewhere.
+    Runs under way are skipped. The store that a run directory names is not connected to: it may
+    come from elsewhere.
 
     Yields:
         Each run that the store lacked, and what kept it from being sent now, or None.
@@ -189,8 +230,13 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     directories = list(directories)
     for directory in directories:
         if directory.is_status_damaged:
-            yield directory, f"{STATUS_FILE} can't be read; restore it, or rerun the command of the run"
-    tracked = [run for run in directories if (uri := run.tracking_uri) and is_same_store(uri, store.uri)]
+            yield (
+                directory,
+                f"{STATUS_FILE} can't be read; restore it, or rerun the command of the run",
+            )
+    tracked = [
+        run for run in directories if (uri := run.tracking_uri) and is_same_store(uri, store.uri)
+    ]
     idle = [directory for directory in tracked if not directory.is_locked]
     if not idle:
         return
@@ -202,7 +248,11 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
-    mirrored = {(resolved(run_dir), run.data.tags.get(DIGEST)): run for run in runs if (run_dir := store.run_dir(run))}
+    mirrored = {
+        (resolved(run_dir), run.data.tags.get(DIGEST)): run
+        for run in runs
+        if (run_dir := store.run_dir(run))
+    }
     for directory in idle:
         status = _status(directory)
         files = _files(directory, status)
@@ -230,12 +280,18 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
                 with store.writing() as client:
                     client.delete_run(run.info.run_id)
     except Exception as error:
-        raise StoreError(f"{directory.path} is kept, since the store {store.uri} fails: {reason(error)}") from error
+        raise StoreError(
+            f"{directory.path} is kept, since the store {store.uri} fails: {reason(error)}"
+        ) from error
 
 
 def mirror_problem(directories: Iterable[RunDirectory], store: Store) -> str | None:
-    """Mirror what a store lacks of some runs; return a sentence if it still lacks some, with the command to run."""
-    problems = [(directory, problem) for directory, problem in mirror_missing(directories, store) if problem]
+    """Mirror what a store lacks of some runs; return a sentence if it still lacks some, with the
+    command to run.
+    """
+    problems = [
+        (directory, problem) for directory, problem in mirror_missing(directories, store) if problem
+    ]
     if not problems:
         return None
     directory, problem = problems[0]
@@ -251,13 +307,16 @@ def _rate(directory: RunDirectory) -> str:
 
 def _describe_damage(names: Sequence[str]) -> str:
     return (
-        f"{', '.join(names)} changed after the run was finished; the store keeps what it has. Restore the file, "
+        f"{', '.join(names)} changed after the run was finished; the store keeps what it has. "
+        "Restore the file, "
         "or delete it, and this warning goes"
     )
 
 
 def sync_hint(output_dir: Path, uri: str | None) -> str:
-    """Return the command that sends what a store lacks; `uri` is the store, None for the embedded one."""
+    """Return the command that sends what a store lacks; `uri` is the store, None for the embedded
+    one.
+    """
     words = [*program("status").split(), "sync=true"]
     if output_dir != Path("outputs").absolute():
         words.append(f"output_dir={output_dir}")
@@ -267,13 +326,21 @@ def sync_hint(output_dir: Path, uri: str | None) -> str:
 
 
 def _status(directory: RunDirectory) -> Status:
-    """Return a run's status for the store, where one that was killed or is pending is `interrupted`."""
+    """Return a run's status for the store, where one that was killed or is pending is
+    `interrupted`.
+    """
     status = directory.status
-    return "interrupted" if status == "pending" or (status == "running" and not directory.is_locked) else status
+    return (
+        "interrupted"
+        if status == "pending" or (status == "running" and not directory.is_locked)
+        else status
+    )
 
 
 def _digest(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
-    """Return a hash of what the store should have of a run, `files` among it, without parsing any file."""
+    """Return a hash of what the store should have of a run, `files` among it, without parsing any
+    file.
+    """
     entries, provenance = directory.read_status(), directory.path / PROVENANCE_FILE
     state = [status, *(entries.get(name) for name in ("error", *FROM_STATUS))]
     sent = [*([provenance] if provenance.exists() else []), *files.values()]
@@ -282,14 +349,24 @@ def _digest(directory: RunDirectory, status: Status, files: Mapping[str, Path]) 
 
 
 def _tags(directory: RunDirectory, config: RunConfig, store: Store) -> dict[str, str]:
-    """Return the tags of a run except its status; they overwrite others of the same name in its provenance."""
+    """Return the tags of a run except its status; they overwrite others of the same name in its
+    provenance.
+    """
     path, entries = database(store.uri), directory.read_status()
     provenance = read_object(directory.path / PROVENANCE_FILE)
     error = one_line(entries.get("error", "")) if entries.get("status") == "failed" else ""
     stored = provenance.get("tags")
-    described = {str(name): str(value) for name, value in stored.items()} if isinstance(stored, dict) else {}
+    described = (
+        {str(name): str(value) for name, value in stored.items()}
+        if isinstance(stored, dict)
+        else {}
+    )
     return {
-        **{name: value for name, value in described.items() if name not in (DIGEST, STATUS, OUTPUT_ID)},
+        **{
+            name: value
+            for name, value in described.items()
+            if name not in (DIGEST, STATUS, OUTPUT_ID)
+        },
         **({STARTED: str(provenance[STARTED])} if STARTED in provenance else {}),
         **{name: str(entries[name]) for name in FROM_STATUS if name in entries},
         **({} if store.is_own else {OUTPUT_ID: output_id(directory.output_dir)}),
@@ -297,13 +374,17 @@ def _tags(directory: RunDirectory, config: RunConfig, store: Store) -> dict[str,
         "cell": config.cell,
         "seed": str(config.seed),
         "run_key": config.run_key,
-        "run_dir": relative_path(directory.path, path.parent) if path else str(directory.path.absolute()),
+        "run_dir": relative_path(directory.path, path.parent)
+        if path
+        else str(directory.path.absolute()),
         "error": error[:MAX_ERROR_LENGTH],
     }
 
 
 def _files(directory: RunDirectory, status: Status) -> dict[str, Path]:
-    """Return the files for the store, by their names there; those that grow with the run come at its end."""
+    """Return the files for the store, by their names there; those that grow with the run come at
+    its end.
+    """
     path = directory.path
     files = {CONFIG_FILE: path / CONFIG_FILE}
     if checkpoints := sorted(directory.checkpoints.glob("step=*")):
@@ -314,18 +395,25 @@ def _files(directory: RunDirectory, status: Status) -> dict[str, Path]:
     if status != "running":
         files |= {name: path / name for name in WRITTEN_AT_THE_END}
     for folder in directory.evaluations():
-        files |= {f"{EVALUATIONS}/{folder.name}/{file.name}": file for file in sorted(folder.glob("[!.]*"))}
+        files |= {
+            f"{EVALUATIONS}/{folder.name}/{file.name}": file
+            for file in sorted(folder.glob("[!.]*"))
+        }
     return {name: file for name, file in files.items() if file.is_file()}
 
 
 def _find(
     directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]
 ) -> "tuple[Run | None, list[Run]]":
-    """Return the store's run of a directory, and those of earlier trainings or evaluations in the same place.
+    """Return the store's run of a directory, and those of earlier trainings or evaluations in the
+    same place.
 
-    The id in status.json may have been copied, or written by anybody. A run of another directory is taken only if that
-    is gone: then it was moved here. A shared store has runs of other output directories, some of which have the same
-    path on another machine: their runs are left alone, and so is what has no owner, unless it is this very training.
+    The id in status.json may have been copied, or written by anybody. A run of another directory is
+    taken only if that
+    is gone: then it was moved here. A shared store has runs of other output directories, some of
+    which have the same
+    path on another machine: their runs are left alone, and so is what has no owner, unless it is
+    this very training.
     """
     own_id = tags.get(OUTPUT_ID)  # None in the output directory's own store
     found: Run | None = None

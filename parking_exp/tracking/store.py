@@ -9,7 +9,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from parking_exp.config.paths import ARTIFACTS, absolute, database, default_uri, lies_inside, local_folder
+from parking_exp.config.paths import (
+    ARTIFACTS,
+    absolute,
+    database,
+    default_uri,
+    lies_inside,
+    local_folder,
+)
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file, replacing
@@ -19,22 +26,30 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
-METRICS_PER_BATCH, PARAMS_PER_BATCH = 800, 100  # MLflow's limits are 100 parameters, and 1,000 entries in all
-RUNS_PER_PAGE, EXPERIMENTS = 10_000, 50_000  # one request for most stores; the latter is MLflow's limit
+METRICS_PER_BATCH, PARAMS_PER_BATCH = (
+    800,
+    100,
+)  # MLflow's limits are 100 parameters, and 1,000 entries in all
+RUNS_PER_PAGE, EXPERIMENTS = (
+    10_000,
+    50_000,
+)  # one request for most stores; the latter is MLflow's limit
 
 
 class Store:
     """An MLflow store; it connects at the first use.
 
-    The store inside of `output_dir` may come from elsewhere with that directory: artifacts are read and written below
-    it only. Those of other stores may lie anywhere.
+    The store inside of `output_dir` may come from elsewhere with that directory: artifacts are read
+    and written below it only. Those of other stores may lie anywhere.
     """
 
     def __init__(self, uri: str, output_dir: Path | None) -> None:
         self.uri = absolute(uri)
         self.is_checked = False  # whether it is known to be usable; see `mirror.prepare`
         self._database = path = database(self.uri)
-        self._own_directory = output_dir if path and output_dir and path.is_relative_to(output_dir) else None
+        self._own_directory = (
+            output_dir if path and output_dir and path.is_relative_to(output_dir) else None
+        )
         self._runs = dict[frozenset[str], "list[Run]"]()  # of `runs`
 
     @property
@@ -44,7 +59,9 @@ class Store:
 
     @cached_property
     def client(self) -> "MlflowClient":
-        """MLflow's client of the store, for reading; see `writing`. Raises what `client.connect` does."""
+        """MLflow's client of the store, for reading; see `writing`. Raises what `client.connect`
+        does.
+        """
         if self._own_directory:
             say_ignored_store()
         self.refuse_link()
@@ -58,10 +75,15 @@ class Store:
         return self._database
 
     def refuse_link(self) -> None:
-        """Raise StoreError if its file is a link that leads out of the output directory that it is in."""
+        """Raise StoreError if its file is a link that leads out of the output directory that it is
+        in.
+        """
         path, root = self._database, self._own_directory
         if path and root and not lies_inside(path, root):
-            raise StoreError(f"{path} is a symbolic link that leads out of {root}; name the store with tracking.uri=")
+            raise StoreError(
+                f"{path} is a symbolic link that leads out of {root}; name the store with "
+                "tracking.uri="
+            )
 
     @contextmanager
     def writing(self) -> "Iterator[MlflowClient]":
@@ -77,27 +99,38 @@ class Store:
         return {experiment.name: experiment.experiment_id for experiment in experiments}
 
     def runs(self, experiment_ids: Iterable[str]) -> "list[Run]":
-        """Return all runs of some experiments, as of the first call since the last writing: 1,000 take seconds."""
+        """Return all runs of some experiments, as of the first call since the last writing: 1,000
+        take seconds.
+        """
         ids = frozenset(experiment_ids)
         if ids not in self._runs:
             self._runs[ids] = self.search([*ids])
         return self._runs[ids]
 
     def search(self, experiment_ids: Sequence[str], condition: str = "") -> "list[Run]":
-        """Return the runs of some experiments, deleted ones too, that match a filter string of MLflow."""
+        """Return the runs of some experiments, deleted ones too, that match a filter string of
+        MLflow.
+        """
         from mlflow.entities import ViewType
 
         runs, token = list["Run"](), None
         while True:
             page = self.client.search_runs(
-                experiment_ids, condition, ViewType.ALL, RUNS_PER_PAGE, ["attributes.start_time"], token
+                experiment_ids,
+                condition,
+                ViewType.ALL,
+                RUNS_PER_PAGE,
+                ["attributes.start_time"],
+                token,
             )
             runs += page
             if not (token := page.token):
                 return runs
 
     def run_dir(self, run: "Run") -> Path | None:
-        """Return the run directory in a run's tag; a relative one is relative to the embedded store's folder."""
+        """Return the run directory in a run's tag; a relative one is relative to the embedded
+        store's folder.
+        """
         tag = run.data.tags.get("run_dir")
         if not tag or not tag.isprintable():
             return None
@@ -106,8 +139,11 @@ class Store:
     def experiment_id(self, config: RunConfig) -> str:
         """Return the id of a run's experiment, which is made if need be."""
         name, location = config.experiment_name, None
-        tags = {"mlflow.experimentKind": "custom_model_development"}  # else the UI shows traces and prompts of GenAI
-        # A tracking server has its own place for artifacts; a database would put them into the current directory.
+        tags = {
+            "mlflow.experimentKind": "custom_model_development"
+        }  # else the UI shows traces and prompts of GenAI
+        # A tracking server has its own place for artifacts; a database would put them into the
+        # current directory.
         if not self.uri.startswith(("http", "databricks")):
             location = (config.output_path / ARTIFACTS / name).as_uri()
         if self._own_directory:
@@ -131,13 +167,21 @@ class Store:
             )
 
     def log(
-        self, run: "Run", params: Mapping[str, str], tags: Mapping[str, str], metrics: Sequence["Metric"] = ()
+        self,
+        run: "Run",
+        params: Mapping[str, str],
+        tags: Mapping[str, str],
+        metrics: Sequence["Metric"] = (),
     ) -> None:
-        """Log parameters that the run does not have yet (they can't be changed), tags that differ, and metrics."""
+        """Log parameters that the run does not have yet (they can't be changed), tags that differ,
+        and metrics.
+        """
         from mlflow.entities import Param, RunTag
 
         missing = [Param(key, value) for key, value in params.items() if key not in run.data.params]
-        changed = [RunTag(key, value) for key, value in tags.items() if run.data.tags.get(key) != value]
+        changed = [
+            RunTag(key, value) for key, value in tags.items() if run.data.tags.get(key) != value
+        ]
         n_batches = max(
             math.ceil(len(missing) / PARAMS_PER_BATCH),
             math.ceil(len(metrics) / METRICS_PER_BATCH),
@@ -147,10 +191,14 @@ class Store:
             some_metrics = metrics[number * METRICS_PER_BATCH : (number + 1) * METRICS_PER_BATCH]
             some_params = missing[number * PARAMS_PER_BATCH : (number + 1) * PARAMS_PER_BATCH]
             with self.writing() as client:
-                client.log_batch(run.info.run_id, some_metrics, some_params, changed if number == 0 else ())
+                client.log_batch(
+                    run.info.run_id, some_metrics, some_params, changed if number == 0 else ()
+                )
 
     def has_artifacts(self, run: "Run", files: Mapping[str, Path]) -> bool:
-        """Return whether a run has artifacts of these names and sizes, if they are files of this machine."""
+        """Return whether a run has artifacts of these names and sizes, if they are files of this
+        machine.
+        """
         folder = local_folder(run.info.artifact_uri)
         if folder is None or run.info.lifecycle_stage == "deleted":
             return True
@@ -161,8 +209,11 @@ class Store:
         return True
 
     def put_artifact(self, run: "Run", name: str, content: bytes) -> None:
-        """Store an artifact of a run, in place of an earlier one of that name; see `_artifact_path`."""
-        # MLflow's client caches folders by run id, whatever the store: a copied store would write to the original's.
+        """Store an artifact of a run, in place of an earlier one of that name; see
+        `_artifact_path`.
+        """
+        # MLflow's client caches folders by run id, whatever the store: a copied store would write
+        # to the original's.
         if (path := self._artifact_path(run.info.artifact_uri, name)) is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, durable=False) as temporary:
@@ -175,7 +226,9 @@ class Store:
             self.client.log_artifact(run.info.run_id, str(file), folder or None)
 
     def artifact(self, run_id: str, folder_uri: str, name: str) -> bytes | None:
-        """Return the content of a run's artifact, None if it has none of that name; see `_artifact_path`."""
+        """Return the content of a run's artifact, None if it has none of that name; see
+        `_artifact_path`.
+        """
         if (path := self._artifact_path(folder_uri, name)) is not None:
             return read_file(path) if path.exists() else None
         if not any(item.path == name for item in self.client.list_artifacts(run_id)):
@@ -191,5 +244,8 @@ class Store:
         """
         folder = local_folder(folder_uri)
         if (root := self._own_directory) and not (folder and lies_inside(folder / name, root)):
-            raise StoreError(f"this store keeps artifacts outside of {root}, in {folder_uri}; use another experiment")
+            raise StoreError(
+                f"this store keeps artifacts outside of {root}, in {folder_uri}; use another "
+                "experiment"
+            )
         return folder / name if folder else None

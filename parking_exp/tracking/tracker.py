@@ -16,7 +16,9 @@ class Tracker:
         say: shows a line.
     """
 
-    def __init__(self, uri: str | None, directory: RunDirectory, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, uri: str | None, directory: RunDirectory, say: Callable[[str], None]
+    ) -> None:
         self.uri, self.directory, self.say = uri, directory, say
         self.problem: str | None = None
 
@@ -29,11 +31,17 @@ class Tracker:
         """Mirror the run as it is, at its start and after its last status is written."""
         if self.uri is None:
             return
-        before, self.problem = self.problem, try_mirror(self.directory, Store(self.uri, self.directory.output_dir))
+        before, self.problem = (
+            self.problem,
+            try_mirror(self.directory, Store(self.uri, self.directory.output_dir)),
+        )
         if before and self.problem is None:
             self.say("the store is complete again")
         elif self.problem and before is None:
-            self.say(f"the store {self.uri} is incomplete ({self.problem}); training continues, and {self.hint}")
+            self.say(
+                f"the store {self.uri} is incomplete ({self.problem}); training continues, and "
+                f"{self.hint}"
+            )
 
     @property
     def hint(self) -> str:

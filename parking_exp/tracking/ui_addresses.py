@@ -1,4 +1,5 @@
-"""Print where MLflow's UI shows each experiment: `python -m parking_exp.tracking.ui_addresses STORE PORT`.
+"""Print where MLflow's UI shows each experiment: `python -m parking_exp.tracking.ui_addresses STORE
+PORT`.
 
 The UI's own links lead to its GenAI view, which shows no runs.
 """

@@ -1,8 +1,9 @@
 """Checkpoints: the whole training state, written atomically, restored only if all hashes match.
 
-A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's zip),
-the filled part of the replay buffer, counters and rollout state, the logs so far, and a manifest of hashes. A training
-that is restored from it is bit-identical to one that was not interrupted. Nothing is unpickled.
+A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers:
+Stable-Baselines3's zip), the filled part of the replay buffer, counters and rollout state, the logs
+so far, and a manifest of hashes. A training that is restored from it is bit-identical to one that
+was not interrupted. Nothing is unpickled.
 """
 
 import shutil
@@ -55,7 +56,8 @@ def save(
     keep_last: int,
     average: PolicyEMA | None = None,
 ) -> Path:
-    """Write a checkpoint, with copies of the logs and the best model, then delete all but the last `keep_last`.
+    """Write a checkpoint, with copies of the logs and the best model, then delete all but the last
+    `keep_last`.
 
     Raises:
         OSError: the disk is full; earlier checkpoints are untouched.
@@ -90,18 +92,28 @@ def latest(directory: Path) -> Path | None:
     for folder in reversed(_folders(directory)):
         if (problem := checkpoint_problem(folder)) is None:
             return folder
-        say(f"warning: checkpoint {folder} is skipped ({problem}); trying the one before it", stderr=True)
+        say(
+            f"warning: checkpoint {folder} is skipped ({problem}); trying the one before it",
+            stderr=True,
+        )
     return None
 
 
 def read_state(folder: Path) -> dict[str, Any]:
-    """Return a checkpoint's state but for model and buffer; `progress` has the fields of `SavedProgress`."""
-    state: dict[str, Any] = to_arrays(torch.load(folder / STATE, map_location="cpu", weights_only=True))
+    """Return a checkpoint's state but for model and buffer; `progress` has the fields of
+    `SavedProgress`.
+    """
+    state: dict[str, Any] = to_arrays(
+        torch.load(folder / STATE, map_location="cpu", weights_only=True)
+    )
     return state
 
 
-def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: PolicyEMA | None = None) -> dict[str, Any]:
-    """Bring a freshly built model, the average of its policy and the best model's file to a checkpoint's state.
+def restore(
+    folder: Path, model: OffPolicyAlgorithm, best: Path, average: PolicyEMA | None = None
+) -> dict[str, Any]:
+    """Bring a freshly built model, the average of its policy and the best model's file to a
+    checkpoint's state.
 
     Returns:
         The rollout state, for `rollout_state.set_state` when the next rollout begins.
@@ -157,7 +169,8 @@ def _buffer_state(buffer: ReplayBuffer | None) -> dict[str, np.ndarray]:
     if isinstance(buffer, HerBuffer):
         return buffer.get_state()
     filled = {
-        name: array[: buffer.size()] if len(array) == buffer.buffer_size else array for name, array in _arrays(buffer)
+        name: array[: buffer.size()] if len(array) == buffer.buffer_size else array
+        for name, array in _arrays(buffer)
     }
     return {"pos": np.asarray(buffer.pos), "full": np.asarray(buffer.full), **filled}
 
@@ -183,7 +196,9 @@ def _arrays(buffer: ReplayBuffer) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def to_tensors(state: Any) -> Any:
-    """Return nested dicts and sequences with tensors in place of arrays: what `torch.load(weights_only=True)` reads."""
+    """Return nested dicts and sequences with tensors in place of arrays: what
+    `torch.load(weights_only=True)` reads.
+    """
     if isinstance(state, np.ndarray | np.generic):
         return torch.from_numpy(np.array(state))
     if isinstance(state, Mapping):
@@ -196,7 +211,9 @@ def to_tensors(state: Any) -> Any:
 
 
 def to_arrays(state: Any) -> Any:
-    """Return the state that `to_tensors` was given; 0-dimensional tensors become scalars of the same type."""
+    """Return the state that `to_tensors` was given; 0-dimensional tensors become scalars of the
+    same type.
+    """
     if isinstance(state, torch.Tensor):
         return state.numpy()[()]
     if isinstance(state, dict):

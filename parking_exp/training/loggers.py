@@ -1,4 +1,6 @@
-"""Stable-Baselines3 logger with a run's outputs: metrics.jsonl, progress.csv, TensorBoard, stdout."""
+"""Stable-Baselines3 logger with a run's outputs: metrics.jsonl, progress.csv, TensorBoard,
+stdout.
+"""
 
 import numbers
 import re
@@ -20,7 +22,8 @@ from parking_exp.config.schema import TrackingConfig
 from parking_exp.runs.metric_logs import MetricsLog
 
 TENSORBOARD_DIR = "tensorboard"
-# TensorBoard sorts its groups by name and opens the first: evaluations, not what else begins with a, b or c.
+# TensorBoard sorts its groups by name and opens the first: evaluations, not what else begins with
+# a, b or c.
 GROUPS_IN_TENSORBOARD = {"buffer/": "replay/", "certified/": "final/certified_"}
 MAX_NAME_LENGTH = 60
 
@@ -28,7 +31,8 @@ MAX_NAME_LENGTH = 60
 def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, label: str) -> Logger:
     """Make a run's logger.
 
-    `progress.csv` and TensorBoard's files are made anew from `metrics.jsonl`: a run that is resumed has each step once.
+    `progress.csv` and TensorBoard's files are made anew from `metrics.jsonl`: a run that is resumed
+    has each step once.
 
     Args:
         tracking: which outputs the run has.
@@ -61,20 +65,33 @@ def _tensorboard_tag(key: str) -> str:
 
 
 class _MetricsWriter(KVWriter):
-    """Writes to metrics.jsonl, and what that accepts to the other files, which start as copies of metrics.jsonl."""
+    """Writes to metrics.jsonl, and what that accepts to the other files, which start as copies of
+    metrics.jsonl.
+    """
 
     def __init__(
-        self, metrics: MetricsLog, table: CSVOutputFormat | None, board: TensorBoardOutputFormat | None
+        self,
+        metrics: MetricsLog,
+        table: CSVOutputFormat | None,
+        board: TensorBoardOutputFormat | None,
     ) -> None:
         self.metrics, self.table, self.board = metrics, table, board
         for record in metrics.records():
             self._add_row(record["metrics"], record["step"], record["time_ms"] / 1000)
 
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+    def write(
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
+    ) -> None:
         self._add_row(self.metrics.append(step, key_values), step)
         if self.board is not None:
-            others = {key: value for key, value in key_values.items() if not isinstance(value, numbers.Real)}
-            self.board.write(others, {key: key_excluded[key] for key in others}, step)  # figures; and it flushes
+            others = {
+                key: value
+                for key, value in key_values.items()
+                if not isinstance(value, numbers.Real)
+            }
+            self.board.write(
+                others, {key: key_excluded[key] for key in others}, step
+            )  # figures; and it flushes
 
     def close(self) -> None:
         if self.table is not None:
@@ -89,6 +106,9 @@ class _MetricsWriter(KVWriter):
             self.table.write(row, dict.fromkeys(row, ()), step)
         if self.board is not None:
             # One event for the row: an event for each value takes more time than all other logs.
-            values = [Summary.Value(tag=_tensorboard_tag(key), simple_value=value) for key, value in row.items()]
+            values = [
+                Summary.Value(tag=_tensorboard_tag(key), simple_value=value)
+                for key, value in row.items()
+            ]
             writer: Any = self.board.writer.file_writer
             writer.add_summary(Summary(value=values), step, time_s)

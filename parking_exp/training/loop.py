@@ -1,4 +1,6 @@
-"""The training loop of a run: its model, envs and logs, with evaluations and checkpoints on the way."""
+"""The training loop of a run: its model, envs and logs, with evaluations and checkpoints on the
+way.
+"""
 
 import time
 from collections.abc import Callable, Sequence
@@ -20,7 +22,13 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import DivergenceError
 from parking_exp.evaluation.evaluate_policy import describe_rates, evaluate, rank, summarise
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, MetricsLog, append_episodes
+from parking_exp.runs.metric_logs import (
+    EPISODES_FILE,
+    METRICS_FILE,
+    MONITOR_FILE,
+    MetricsLog,
+    append_episodes,
+)
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
@@ -38,7 +46,9 @@ class Seeds:
     """Seeds of one run's random generators."""
 
     policy: int  # weights, exploration and minibatches (Python, NumPy and torch), below 2**31
-    training_envs: int  # of the first training env; env i gets this + i. None is an evaluation's seed
+    training_envs: (
+        int  # of the first training env; env i gets this + i. None is an evaluation's seed
+    )
     certified: int  # draws the episodes of the final evaluation that are cross-checked
 
 
@@ -75,21 +85,33 @@ class TrainingLoop:
         self.metrics = MetricsLog(path / METRICS_FILE)
         seeds = derive_seeds(config.seed, config.env.training_seeds)
         self.task = make_task(config.env)
-        self.env = make_training_envs(config.env, config.n_envs, path / MONITOR_FILE, progress.wall_s)
+        self.env = make_training_envs(
+            config.env, config.n_envs, path / MONITOR_FILE, progress.wall_s
+        )
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
-        self.env.seed(seeds.training_envs)  # after the model, which seeds the envs with its own seed
+        self.env.seed(
+            seeds.training_envs
+        )  # after the model, which seeds the envs with its own seed
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:
-            self._best.unlink(missing_ok=True)  # of an attempt that was killed before its first checkpoint
+            self._best.unlink(
+                missing_ok=True
+            )  # of an attempt that was killed before its first checkpoint
         else:
-            self._rollout_state = checkpoints.restore(checkpoint, self.model, self._best, self.average)
+            self._rollout_state = checkpoints.restore(
+                checkpoint, self.model, self._best, self.average
+            )
         label = directory.read_status().get("label") or config.label or config.options
         self.model.set_logger(make_logger(config.tracking, path, self.metrics, label))
         shown = config.tracking.progress_bar
-        self.bar = TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat)
-        self.bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}")
+        self.bar = TrainingProgress(
+            config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat
+        )
+        self.bar.say(
+            f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}"
+        )
         for note in self.task.notes():
             self.bar.say(note)
         if checkpoint is not None:
@@ -112,7 +134,9 @@ class TrainingLoop:
         self.save_checkpoint()
 
     def evaluate(self) -> None:
-        """Evaluate on the first of the fixed episodes, and keep the model if it is the best so far."""
+        """Evaluate on the first of the fixed episodes, and keep the model if it is the best so
+        far.
+        """
         self.bar.show_activity("evaluation")
         with self.average.applied():
             episodes = self.run_episodes(self.episode_seeds(self.config.evaluation.n_scenes))
@@ -123,9 +147,13 @@ class TrainingLoop:
     def run_episodes(self, seeds: Sequence[int], simulator: str | None = None) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""
         try:
-            return evaluate(self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator)
+            return evaluate(
+                self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator
+            )
         except DivergenceError as error:
-            raise DivergenceError(f"evaluation at step {self.model.num_timesteps}: {error}") from error
+            raise DivergenceError(
+                f"evaluation at step {self.model.num_timesteps}: {error}"
+            ) from error
 
     def episode_seeds(self, number: int) -> range:
         """Return the seeds of the first `number` of the fixed evaluation episodes."""
@@ -146,7 +174,14 @@ class TrainingLoop:
         self.progress.step = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
         keep_last = self.config.checkpoint.keep_last
-        checkpoints.save(self.directory.checkpoints, self.model, self.progress, self._best, keep_last, self.average)
+        checkpoints.save(
+            self.directory.checkpoints,
+            self.model,
+            self.progress,
+            self._best,
+            keep_last,
+            self.average,
+        )
         self._on_checkpoint()
 
     def stop_if_asked(self) -> None:
@@ -158,7 +193,9 @@ class TrainingLoop:
         return time.process_time() - self._cpu_start, time.monotonic() - self._wall_start
 
     def record_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
-        """Append episodes to `episodes.csv`, log their summary and return it; `eval`'s best model so far is kept."""
+        """Append episodes to `episodes.csv`, log their summary and return it; `eval`'s best model
+        so far is kept.
+        """
         step, summary = self.model.num_timesteps, summarise(episodes, self.task.metrics)
         append_episodes(self.directory.path / EPISODES_FILE, episodes, phase, step)
         for name, value in summary.items():
@@ -173,7 +210,10 @@ class TrainingLoop:
     def dump_metrics(self) -> None:
         """Write the logger's row of metrics."""
         cpu_s, wall_s = self.times()
-        if isinstance(buffer := self.model.replay_buffer, HerBuffer) and buffer.real_fraction is not None:
+        if (
+            isinstance(buffer := self.model.replay_buffer, HerBuffer)
+            and buffer.real_fraction is not None
+        ):
             self.model.logger.record("buffer/real_share", buffer.real_fraction)
         self.model.logger.record("time/cpu_s", cpu_s)
         self.model.logger.record("time/wall_s", wall_s)
@@ -187,7 +227,8 @@ class TrainingLoop:
 class RolloutCallback(BaseCallback):
     """Evaluates, saves checkpoints and stops as configured, before each rollout.
 
-    Within a step Stable-Baselines3's state is incomplete: the transition is counted, but not stored yet.
+    Within a step Stable-Baselines3's state is incomplete: the transition is counted, but not stored
+    yet.
     """
 
     def __init__(self, loop: TrainingLoop) -> None:
@@ -224,7 +265,11 @@ class RolloutCallback(BaseCallback):
     def _check_losses(self) -> None:
         """Check what the last updates have logged."""
         logged = self.model.logger.name_to_value.items()
-        losses = {name: value for name, value in logged if name.startswith("train/") and isinstance(value, Real)}
+        losses = {
+            name: value
+            for name, value in logged
+            if name.startswith("train/") and isinstance(value, Real)
+        }
         check_finite(losses, f"at step {self.num_timesteps}")
 
     def _update_bar(self) -> None:

@@ -9,8 +9,12 @@ import pandas as pd
 from parking_exp.tasks.metrics import Metric
 
 
-def plot_learning_curves(log: pd.DataFrame, metrics: Sequence[Metric], title: str, path: Path) -> None:
-    """Draw a run's evaluation rates and returns against env steps, from the columns of `MetricsLog.frame`."""
+def plot_learning_curves(
+    log: pd.DataFrame, metrics: Sequence[Metric], title: str, path: Path
+) -> None:
+    """Draw a run's evaluation rates and returns against env steps, from the columns of
+    `MetricsLog.frame`.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 5.6), dpi=150, layout="constrained")
@@ -22,7 +26,11 @@ def plot_learning_curves(log: pd.DataFrame, metrics: Sequence[Metric], title: st
             axes.plot(curve["step"], scale * curve[column], **style)
 
     for metric in (metric for metric in metrics if metric.colour):
-        style = {"color": metric.colour, "label": metric.name, "linestyle": "-" if metric.is_outcome else "--"}
+        style = {
+            "color": metric.colour,
+            "label": metric.name,
+            "linestyle": "-" if metric.is_outcome else "--",
+        }
         plot(rates, f"eval/{metric.key}", 100, marker="o", markersize=3, **style)
     plot(returns, "eval/return_mean", color="#0072B2", label="evaluation")
     plot(returns, "rollout/ep_rew_mean", color="#999999", label="training")

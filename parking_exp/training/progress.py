@@ -3,7 +3,14 @@
 import time
 from collections.abc import Callable
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from parking_exp.terminal import Screen
 
@@ -20,7 +27,9 @@ class TrainingProgress:
         heartbeat: called every second with how far the run is, whatever is shown.
     """
 
-    def __init__(self, total_steps: int, start: int, enabled: bool, heartbeat: Callable[..., None]) -> None:
+    def __init__(
+        self, total_steps: int, start: int, enabled: bool, heartbeat: Callable[..., None]
+    ) -> None:
         self.console = Screen(stderr=True)
         self.total, self.start, self.enabled = total_steps, start, enabled
         self._started = time.monotonic()
@@ -51,7 +60,9 @@ class TrainingProgress:
         if time.monotonic() >= self._next_heartbeat:
             self._send_heartbeat("train", rate)
         success = "" if success_rate is None else f"success {success_rate:4.0%}  "
-        self._bar.update(self._task, completed=step, figures=f"{success}{rate:.0f} steps/s", description="train")
+        self._bar.update(
+            self._task, completed=step, figures=f"{success}{rate:.0f} steps/s", description="train"
+        )
         if not self.console.is_terminal and step >= self._next_line:
             self._next_line += max(1, self.total // LINES)
             mean_return = "" if episode_return is None else f"return {episode_return:6.1f}  "

@@ -1,7 +1,8 @@
-"""State outside the model that exact resume needs: random generators, envs, exploration noise, the logger.
+"""State outside the model that exact resume needs: random generators, envs, exploration noise, the
+logger.
 
-It is saved and restored at the beginning of a rollout. Restoring comes last there: `learn` resets action noise, and
-gSDE draws its matrices just before.
+It is saved and restored at the beginning of a rollout. Restoring comes last there: `learn` resets
+action noise, and gSDE draws its matrices just before.
 """
 
 import random
@@ -21,14 +22,18 @@ PENDING = ("name_to_value", "name_to_count", "name_to_excluded")
 
 
 def get_state(model: OffPolicyAlgorithm) -> dict[str, Any]:
-    """Return the rollout state of a model as nested dicts and lists of arrays, numbers and texts."""
+    """Return the rollout state of a model as nested dicts and lists of arrays, numbers and
+    texts.
+    """
     assert model.env is not None
     sde = _sde(model)
     return {
         "envs": training_envs.get_state(model.env),
         "rng": _random_states(model),
         "noise": [_noise_state(noise) for noise in _noises(model.action_noise)],
-        "sde": {name: getattr(sde, name).detach().cpu().numpy() for name in MATRICES} if sde else None,
+        "sde": {name: getattr(sde, name).detach().cpu().numpy() for name in MATRICES}
+        if sde
+        else None,
         "metrics": {name: dict(getattr(model.logger, name)) for name in PENDING},
     }
 
@@ -37,7 +42,8 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
     """Restore the rollout state of a model of the same config; what follows is identical."""
     assert model.env is not None
     training_envs.set_state(model.env, state["envs"])
-    # Where no steps remain, `learn` has not been called, and noise of several envs is not vectorised yet: nor needed.
+    # Where no steps remain, `learn` has not been called, and noise of several envs is not
+    # vectorised yet: nor needed.
     for env_noise, saved in zip(_noises(model.action_noise), state["noise"], strict=False):
         vars(env_noise).update(saved)
     if sde := _sde(model):
@@ -56,7 +62,9 @@ def _random_states(model: OffPolicyAlgorithm) -> dict[str, Any]:
         "python": {"version": version, "numbers": np.array(numbers, np.uint32), "gauss": gauss},
         "numpy": np.random.get_state(legacy=False),
         "torch": torch.get_rng_state().numpy(),
-        "accelerator": torch.cuda.get_rng_state(model.device).numpy() if model.device.type == "cuda" else None,
+        "accelerator": torch.cuda.get_rng_state(model.device).numpy()
+        if model.device.type == "cuda"
+        else None,
         "action_space": model.action_space.np_random.bit_generator.state,
     }
 
@@ -84,6 +92,8 @@ def _noises(noise: ActionNoise | None) -> list[ActionNoise]:
 
 
 def _noise_state(noise: ActionNoise) -> dict[str, Any]:
-    """Return the numeric attributes of an action noise, such as Ornstein-Uhlenbeck's last value `noise_prev`."""
+    """Return the numeric attributes of an action noise, such as Ornstein-Uhlenbeck's last value
+    `noise_prev`.
+    """
     numbers = (bool, int, float, np.ndarray, np.generic)
     return {name: value for name, value in vars(noise).items() if isinstance(value, numbers)}

@@ -23,9 +23,13 @@ class StopRequest:
         return self.signal_number is not None
 
     def raise_if_made(self, where: str = "") -> None:
-        """Raise InterruptedRunError if a signal has arrived; `where` follows "stopped" in its message."""
+        """Raise InterruptedRunError if a signal has arrived; `where` follows "stopped" in its
+        message.
+        """
         if self.signal_number is not None:
-            raise InterruptedRunError(f"stopped{where}; rerun the same command to resume", self.signal_number)
+            raise InterruptedRunError(
+                f"stopped{where}; rerun the same command to resume", self.signal_number
+            )
 
 
 @contextmanager
@@ -33,10 +37,12 @@ def stop_on_signal(
     at_second: Callable[[int, FrameType | None], object] | None = signal.default_int_handler,
     signals: Sequence[int] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
 ) -> Iterator[StopRequest]:
-    """Turn the first of some signals into a StopRequest; `at_second` handles later ones, None ignores them.
+    """Turn the first of some signals into a StopRequest; `at_second` handles later ones, None
+    ignores them.
 
-    SIGHUP, of a terminal that is closed, stays ignored under `nohup`, and never counts as a second signal: the shell
-    and the system both send it. Outside the main thread signals can't be caught, and nothing changes.
+    SIGHUP, of a terminal that is closed, stays ignored under `nohup`, and never counts as a second
+    signal: the shell and the system both send it. Outside the main thread signals can't be caught,
+    and nothing changes.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():

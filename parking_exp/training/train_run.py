@@ -38,10 +38,13 @@ from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.signals import StopRequest, stop_on_signal
 
 
-def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
+def train(
+    config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False
+) -> RunResult:
     """Train, evaluate and track one run, or resume it from its latest whole checkpoint.
 
-    A run that is done returns its stored result. `supervised`: the parent process holds the run's supervisor lock.
+    A run that is done returns its stored result. `supervised`: the parent process holds the run's
+    supervisor lock.
 
     Raises:
         ConfigError: the config cannot run; nothing is on disk.
@@ -56,7 +59,10 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
 
 def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
     directory = RunDirectory(config.run_dir)
-    lacks_device = config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count()
+    lacks_device = (
+        config.device.startswith("cuda")
+        and int(config.device[5:] or 0) >= torch.cuda.device_count()
+    )
     if lacks_device and (directory.result() is None or directory.needs_evaluation(config)):
         raise ConfigError(f"device={config.device}: torch finds no such device; use auto")
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
@@ -72,7 +78,8 @@ def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
             directory.reopen()
         directory.create(config)
         record_training(directory.path, config)
-        # Slurm signals every process of a job, and the supervisor passes its own signal on: the checkpoint comes first.
+        # Slurm signals every process of a job, and the supervisor passes its own signal on: the
+        # checkpoint comes first.
         at_second = None if supervised else signal.default_int_handler
         with stop_on_signal(at_second) as stop, torch_settings(config):
             return _train(config, directory, stop, supervised)
@@ -87,14 +94,22 @@ def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
     return None
 
 
-def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest, supervised: bool) -> RunResult:
+def _train(
+    config: RunConfig, directory: RunDirectory, stop: StopRequest, supervised: bool
+) -> RunResult:
     (directory.path / "traceback.txt").unlink(missing_ok=True)
-    process: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
+    process: dict[str, Any] = {
+        "pid": os.getpid(),
+        "host": socket.gethostname(),
+        "started": time.time(),
+    }
     if words := command_line():  # a supervised run has the sweep's
         process["command"] = words
     if config.label is not None:
         process["label"] = config.label
-    directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
+    directory.update(
+        status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process
+    )
     store_uri = config.store_uri if config.tracking.mlflow else None
     directory.update(tracking_uri=store_uri)
     # The process that the user started writes the store: of a supervised run, the sweep.
@@ -113,7 +128,9 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest, superv
                 loop.save_checkpoint()
                 raise
         metrics = loop.metrics.latest()
-        memory_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        memory_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+            1 if sys.platform == "darwin" else 1024
+        )
         directory.finish(
             RunResult(str(directory.path), directory.run_id, loop.model.num_timesteps, metrics),
             success_rate=metrics.get("final/success_rate"),
@@ -129,12 +146,16 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest, superv
     except BaseException as error:
         _record_failure(error, directory, tracker)
         raise FailedRunError(
-            f"the run failed: {type(error).__name__}: {error}; its traceback is in {directory.path / 'traceback.txt'}"
+            f"the run failed: {type(error).__name__}: {error}; its traceback is in "
+            f"{directory.path / 'traceback.txt'}"
         ) from error
     tracker.mirror()
     result = directory.result()
     assert result is not None
-    say(*describe(episodes, make_task(config.env).metrics).split("\n"), *_closing_lines(result, tracker))
+    say(
+        *describe(episodes, make_task(config.env).metrics).split("\n"),
+        *_closing_lines(result, tracker),
+    )
     return result
 
 
@@ -142,18 +163,28 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
     """Record status and traceback, as far as a full disk allows."""
     try:
         directory.update(status="failed", error=f"{type(error).__name__}: {error}")
-        write_atomically(directory.path / "traceback.txt", "".join(traceback.format_exception(error)))
+        write_atomically(
+            directory.path / "traceback.txt", "".join(traceback.format_exception(error))
+        )
         tracker.mirror()
     except Exception as second_error:  # the first is reported
-        error.add_note(f"while recording the failure: {type(second_error).__name__}: {second_error}")
+        error.add_note(
+            f"while recording the failure: {type(second_error).__name__}: {second_error}"
+        )
 
 
 def _closing_lines(result: RunResult, tracker: Tracker) -> list[str]:
     rate = result.metrics.get("final/success_rate")
-    lines = [f"final success rate {rate:.1%}, after {result.steps} env steps"] if rate is not None else []
+    lines = (
+        [f"final success rate {rate:.1%}, after {result.steps} env steps"]
+        if rate is not None
+        else []
+    )
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
-        lines.append(f"MLflow run     {result.run_id}   ({ui_command(tracker.directory.tracking_uri or '')})")
+        lines.append(
+            f"MLflow run     {result.run_id}   ({ui_command(tracker.directory.tracking_uri or '')})"
+        )
     if tracker.problem:
         lines.append(f"not all of it is in the store ({tracker.problem}); {tracker.hint}")
     return lines

@@ -1,1 +1,3 @@
-"""Hyperparameter searches: Optuna over composed configs, trained by the launchers and supervisors of sweeps."""
+"""Hyperparameter searches: Optuna over composed configs, trained by the launchers and supervisors
+of sweeps.
+"""

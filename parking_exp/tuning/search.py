@@ -31,7 +31,9 @@ def _compose_groups(overrides: tuple[str, ...], extra_config_dir: str | None) ->
     """Compose a trial's groups."""
     runs = compose_runs("tune", list(overrides), extra_config_dir)
     if len(runs) > 1 or runs[0].seed is not None:
-        raise ConfigError("a search takes one value for each key, and its seeds as search.tuning_seeds")
+        raise ConfigError(
+            "a search takes one value for each key, and its seeds as search.tuning_seeds"
+        )
     return runs[0]
 
 
@@ -39,7 +41,8 @@ def _compose_groups(overrides: tuple[str, ...], extra_config_dir: str | None) ->
 class Search:
     """A search: the overrides of its command, and Hydra's `--config-dir`.
 
-    A trial's changes map keys and groups to values: `{"algorithm": "td3", "algorithm.gamma": 0.97}`.
+    A trial's changes map keys and groups to values: `{"algorithm": "td3", "algorithm.gamma":
+    0.97}`.
     """
 
     overrides: Sequence[str]
@@ -53,9 +56,13 @@ class Search:
         """
         with _COMPOSING, hydra_ready():
             groups = _compose_groups(tuple(self.overrides), self.extra_config_dir).options
-            options = [f"{key}={in_quotes(str(value))}" for key, value in changes.items() if key in groups]
+            options = [
+                f"{key}={in_quotes(str(value))}" for key, value in changes.items() if key in groups
+            ]
             values = {key: value for key, value in changes.items() if key not in groups}
-            return _compose_groups((*self.overrides, *options), self.extra_config_dir).with_values(values)
+            return _compose_groups((*self.overrides, *options), self.extra_config_dir).with_values(
+                values
+            )
 
     @cached_property
     def request(self) -> TuneRequest:
@@ -79,14 +86,19 @@ class Search:
         """Return the checked config of a trial.
 
         Raises:
-            ConfigError: it can't run, or a change is not in the space: a foreign study may name any class.
+            ConfigError: it can't run, or a change is not in the space: a foreign study may name any
+                class.
         """
         space = self.request.search.space
         for key, value in changes.items():
             if key not in space or not space[key].allows(value):
                 raise ConfigError(f"{key}={value!r} is not in search.space")
-        plain = cast(dict[str, Any], OmegaConf.to_container(self.compose(changes).cell, resolve=True))
-        return validate({key: value for key, value in plain.items() if key not in TuneRequest.model_fields})
+        plain = cast(
+            dict[str, Any], OmegaConf.to_container(self.compose(changes).cell, resolve=True)
+        )
+        return validate(
+            {key: value for key, value in plain.items() if key not in TuneRequest.model_fields}
+        )
 
     def check(self) -> None:
         """Check the space: every key, both ends of each range, and every choice.
@@ -98,7 +110,10 @@ class Search:
         assert self.base  # its errors are reported once
         overridden = {line.partition("=")[0].lstrip("+~") for line in self.overrides}
         twice = (key for key in space if key in overridden)
-        problems = [f"{key} is both an override and a key of search.space; remove one of them" for key in twice]
+        problems = [
+            f"{key} is both an override and a key of search.space; remove one of them"
+            for key in twice
+        ]
         for key, dimension in space.items():
             group = key.partition(".")[0]
             options = space[group].choices if group != key and group in space else None
@@ -107,18 +122,25 @@ class Search:
                     try:
                         self.config({**context, key: value})
                     except ConfigError as error:
-                        problems += [f"search.space.{key}: {line}" for line in str(error).splitlines()]
+                        problems += [
+                            f"search.space.{key}: {line}" for line in str(error).splitlines()
+                        ]
         refuse(dict.fromkeys(problems))
 
     def open(self) -> OpenStudy:
         """Return the study; create it, and its folder, if there is none yet."""
         run, space = self.compose({}), self.request.search.space
-        values = {key: run.options.get(key) or OmegaConf.select(run.cell, key.lstrip("+")) for key in space}
+        values = {
+            key: run.options.get(key) or OmegaConf.select(run.cell, key.lstrip("+"))
+            for key in space
+        }
         return open_study(self.folder, self.request.search, self.base, values, self._option_keys)
 
     @cached_property
     def _option_keys(self) -> dict[str, str]:
-        """The run key with each option that trials choose from, which changes with the contents of its file."""
+        """The run key with each option that trials choose from, which changes with the contents of
+        its file.
+        """
         groups = self.compose({}).options
         keys: dict[str, str] = {}
         for group, dimension in self.request.search.space.items():
@@ -135,7 +157,9 @@ class Search:
 
 @dataclass(frozen=True)
 class StoredSearch:
-    """A search as other commands read it from its folder: its settings, number of trials, study and trials so far."""
+    """A search as other commands read it from its folder: its settings, number of trials, study and
+    trials so far.
+    """
 
     search: SearchConfig
     n_trials: int
@@ -147,7 +171,8 @@ def study_in(folder: Path) -> StoredSearch | None:
     """Return the search of an experiment's folder; None without one.
 
     Raises:
-        ConfigError: its settings or its study are damaged, or a trial has values outside of the space.
+        ConfigError: its settings or its study are damaged, or a trial has values outside of the
+            space.
         StoreError: the journal can't be read.
         UntrustedError: see `storage_of`.
     """

@@ -31,12 +31,16 @@ class Dimension(ConfigModel):
 
     log: Bounds | None = None
     uniform: Bounds | None = None
-    whole: Annotated[list[int], Field(min_length=2, max_length=2)] | None = Field(default=None, alias="int")
+    whole: Annotated[list[int], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, alias="int"
+    )
     choices: Annotated[list[Value], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        forms = [form for form in (self.log, self.uniform, self.whole, self.choices) if form is not None]
+        forms = [
+            form for form in (self.log, self.uniform, self.whole, self.choices) if form is not None
+        ]
         if len(forms) != 1:
             raise ValueError("takes one of log, uniform, int and choices")
         if self.choices is None and self.ends[0] >= self.ends[1]:
@@ -56,26 +60,42 @@ class Dimension(ConfigModel):
         return f"{form} {ends}"
 
     def distribution(self) -> "BaseDistribution":
-        """Return the dimension as Optuna's distribution; choices are JSON, since Optuna takes no lists."""
+        """Return the dimension as Optuna's distribution; choices are JSON, since Optuna takes no
+        lists.
+        """
         from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
         if self.choices is not None:
             return CategoricalDistribution([json.dumps(choice) for choice in self.choices])
         low, high = self.ends
-        return IntDistribution(low, high) if self.whole else FloatDistribution(low, high, log=self.log is not None)
+        return (
+            IntDistribution(low, high)
+            if self.whole
+            else FloatDistribution(low, high, log=self.log is not None)
+        )
 
     def to_parameter(self, value: Any) -> Any:
         """Return a config's value as Optuna's parameter, or None if it is outside the dimension."""
         if self.choices is not None:
-            same = (c for c in self.choices if c == value and isinstance(c, bool) == isinstance(value, bool))
+            same = (
+                c
+                for c in self.choices
+                if c == value and isinstance(c, bool) == isinstance(value, bool)
+            )
             return next(map(json.dumps, same), None)
-        if isinstance(value, bool) or not isinstance(value, int | float) or (self.whole and value != int(value)):
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or (self.whole and value != int(value))
+        ):
             return None
         low, high = self.ends
         return value if low <= value <= high else None
 
     def allows(self, value: Any) -> bool:
-        """Return whether a trial may have a value: one of the choices, or a number of the range when it is rounded."""
+        """Return whether a trial may have a value: one of the choices, or a number of the range
+        when it is rounded.
+        """
         if self.choices is not None:
             return self.to_parameter(value) is not None
         if isinstance(value, bool) or not isinstance(value, int if self.whole else int | float):
@@ -105,11 +125,14 @@ class SearchConfig(ConfigModel):
     def _check(self) -> Self:
         seeds = [*self.tuning_seeds, *self.test_seeds]
         if twice := [seed for seed in seeds if seeds.count(seed) > 1]:
-            raise ValueError(f"seed {twice[0]} occurs twice in tuning_seeds and test_seeds; all have to differ")
+            raise ValueError(
+                f"seed {twice[0]} occurs twice in tuning_seeds and test_seeds; all have to differ"
+            )
         for key in self.space:
             if key.lstrip("+").partition(".")[0] not in HYPERPARAMETERS:
                 raise ValueError(
-                    f"space has {key}, which is no hyperparameter; it may have n_envs, updates_per_step, and keys or "
+                    f"space has {key}, which is no hyperparameter; it may have n_envs, "
+                    "updates_per_step, and keys or "
                     "options of algorithm, buffer and env (seeds are in tuning_seeds)"
                 )
         return self

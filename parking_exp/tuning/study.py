@@ -1,7 +1,7 @@
 """The study of a search: Optuna's record of its trials, and which process works on which trial.
 
-The study is a journal file in the experiment's folder. A process holds a lock file while it works on a trial; once that
-process has died, another one resumes the trial.
+The study is a journal file in the experiment's folder. A process holds a lock file while it works
+on a trial; once that process has died, another one resumes the trial.
 """
 
 import json
@@ -83,7 +83,10 @@ def storage_of(folder: Path) -> Any:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path = folder / STUDY_FILE
     # Not all files of the folder: those of cells may be on another disk.
-    refuse_links((file for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for file in folder.glob(names)), folder)
+    refuse_links(
+        (file for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for file in folder.glob(names)),
+        folder,
+    )
     if not path.exists():  # status and report read studies of directories that are read-only
         folder.mkdir(parents=True, exist_ok=True)
         path.touch()
@@ -98,7 +101,8 @@ def open_study(
     values: Mapping[str, Any],
     option_keys: Mapping[str, str] | None = None,
 ) -> OpenStudy:
-    """Return the study of a search; create it, with trial 0, the unchanged config, if there is none.
+    """Return the study of a search; create it, with trial 0, the unchanged config, if there is
+    none.
 
     Args:
         folder: of the experiment.
@@ -107,7 +111,8 @@ def open_study(
         option_keys: run key of this config with each option that trials choose from.
 
     Raises:
-        ConfigError: the study was made with another space, seeds, base config, or contents of an option.
+        ConfigError: the study was made with another space, seeds, base config, or contents of an
+            option.
         StoreError: the journal can't be read.
     """
     import optuna
@@ -117,31 +122,44 @@ def open_study(
     with study_errors(name):
         storage = storage_of(folder)
         with FileLock(folder / CLAIM_LOCK):
-            study = optuna.create_study(storage=storage, study_name=name, direction="maximize", load_if_exists=True)
+            study = optuna.create_study(
+                storage=storage, study_name=name, direction="maximize", load_if_exists=True
+            )
             definition = {**_definition(search, base), **(option_keys or {})}
             known = study.user_attrs.get(DEFINITION)
             if known is None:
                 study.set_user_attr(DEFINITION, definition)
-            elif differing := [key for key in {**known, **definition} if known.get(key) != definition.get(key)]:
+            elif differing := [
+                key for key in {**known, **definition} if known.get(key) != definition.get(key)
+            ]:
                 raise ConfigError(
-                    f"the study {name} was made with another {', '.join(differing)}; restore that to resume it, or "
+                    f"the study {name} was made with another {', '.join(differing)}; restore that "
+                    "to resume it, or "
                     "start another study with experiment_name=OTHER"
                 )
             if not study.get_trials(deepcopy=False):
-                parameters = {key: dimension.to_parameter(values[key]) for key, dimension in search.space.items()}
+                parameters = {
+                    key: dimension.to_parameter(values[key])
+                    for key, dimension in search.space.items()
+                }
                 inside = {key: value for key, value in parameters.items() if value is not None}
                 distributions = {key: search.space[key].distribution() for key in inside}
                 # Added as running but not locked, so that it is claimed like an abandoned trial.
                 study.add_trial(
                     create_trial(
-                        state=TrialState.RUNNING, params=inside, distributions=distributions, user_attrs={CHANGES: {}}
+                        state=TrialState.RUNNING,
+                        params=inside,
+                        distributions=distributions,
+                        user_attrs={CHANGES: {}},
                     )
                 )
     return OpenStudy(study, storage, folder)
 
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
-    """Return what must not change for trials to be comparable: seeds, space, base config and evaluation."""
+    """Return what must not change for trials to be comparable: seeds, space, base config and
+    evaluation.
+    """
     plain = json.loads(search.model_dump_json(by_alias=True, exclude_none=True))
     definition = {f"search.space.{key}": value for key, value in plain["space"].items()}
     definition["search.tuning_seeds"] = search.tuning_seeds
@@ -155,26 +173,43 @@ def trial_lock_path(folder: Path, number: int) -> Path:
     return folder / TRIALS_FOLDER / f"{number:05d}.lock"
 
 
-def claim(opened: OpenStudy, search: SearchConfig, n_trials: int) -> "tuple[Trial, FileLock] | None":
-    """Resume an abandoned trial or begin the next one; return it and the lock to release, or None if none is left."""
+def claim(
+    opened: OpenStudy, search: SearchConfig, n_trials: int
+) -> "tuple[Trial, FileLock] | None":
+    """Resume an abandoned trial or begin the next one; return it and the lock to release, or None
+    if none is left.
+    """
     import optuna
 
     study, storage, folder = opened
     with FileLock(folder / CLAIM_LOCK):
         held = {number for number in range(n_trials) if is_held(trial_lock_path(folder, number))}
-        trials = study.get_trials(deepcopy=False)[:n_trials]  # after the locks: a trial may just have ended
+        trials = study.get_trials(deepcopy=False)[
+            :n_trials
+        ]  # after the locks: a trial may just have ended
         abandoned = [t.number for t in trials if t.state.name == "RUNNING" and t.number not in held]
         number = abandoned[0] if abandoned else len(trials)
         if number == n_trials:
             return None
         if abandoned:
             study_id = storage.get_study_id_from_name(study.study_name)
-            trial = optuna.Trial(study, storage.get_trial_id_from_study_id_trial_number(study_id, number))
+            trial = optuna.Trial(
+                study, storage.get_trial_id_from_study_id_trial_number(study_id, number)
+            )
         else:
-            study.sampler = make_sampler(search, zlib.crc32(f"{study.study_name} {number}".encode()))
-            trial = study.ask({key: dimension.distribution() for key, dimension in search.space.items()})
-        if CHANGES not in trial.user_attrs:  # a process may have died before it had sampled all of them
-            changes = {key: search.space[key].to_value(parameter) for key, parameter in trial.params.items()}
+            study.sampler = make_sampler(
+                search, zlib.crc32(f"{study.study_name} {number}".encode())
+            )
+            trial = study.ask(
+                {key: dimension.distribution() for key, dimension in search.space.items()}
+            )
+        if (
+            CHANGES not in trial.user_attrs
+        ):  # a process may have died before it had sampled all of them
+            changes = {
+                key: search.space[key].to_value(parameter)
+                for key, parameter in trial.params.items()
+            }
             trial.set_user_attr(CHANGES, changes)
         path = trial_lock_path(folder, number)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -184,7 +219,9 @@ def claim(opened: OpenStudy, search: SearchConfig, n_trials: int) -> "tuple[Tria
 
 
 def make_sampler(search: SearchConfig, seed: int) -> "BaseSampler":
-    """Return the sampler of a search; each trial has a seed of its own, so that a restart repeats none."""
+    """Return the sampler of a search; each trial has a seed of its own, so that a restart repeats
+    none.
+    """
     from optuna import samplers
     from optuna.exceptions import ExperimentalWarning
 

@@ -1,6 +1,8 @@
-"""Work on a search: claim trials one after the other, train each on its seeds, prune, and record the objective.
+"""Work on a search: claim trials one after the other, train each on its seeds, prune, and record
+the objective.
 
-The objective of a run is the normalised area under its success curve, 0 ... 1; that of a trial is the mean of its runs.
+The objective of a run is the normalised area under its success curve, 0 ... 1; that of a trial is
+the mean of its runs.
 """
 
 import errno
@@ -28,7 +30,9 @@ POLL_S = 0.5
 
 
 def work(search: Search, train: Train) -> None:
-    """Train the trials of a search until none is left, or until `train` returns that it was stopped."""
+    """Train the trials of a search until none is left, or until `train` returns that it was
+    stopped.
+    """
     from optuna.pruners import MedianPruner, NopPruner
 
     opened, settings = search.open(), search.request.search
@@ -43,7 +47,9 @@ def work(search: Search, train: Train) -> None:
 
 
 def _train_trial(search: Search, study: "Study", trial: "Trial", train: Train) -> bool:
-    """Train a claimed trial on one seed after the other, and record how it ended; return whether it has ended."""
+    """Train a claimed trial on one seed after the other, and record how it ended; return whether it
+    has ended.
+    """
     from optuna.trial import TrialState
 
     def fail(reason: str) -> bool:
@@ -55,7 +61,9 @@ def _train_trial(search: Search, study: "Study", trial: "Trial", train: Train) -
         config = search.config(trial.user_attrs[CHANGES])
     except ConfigError as error:  # an invalid combination of values
         return fail(str(error).replace("\n", "; "))
-    n_reported = len(study.get_trials(deepcopy=False)[trial.number].intermediate_values)  # by an earlier process
+    n_reported = len(
+        study.get_trials(deepcopy=False)[trial.number].intermediate_values
+    )  # by an earlier process
     seeds, values, runs = search.request.search.tuning_seeds, list[float](), list[str]()
     for seed in seeds:
         run = config.model_copy(update={"seed": seed})
@@ -87,7 +95,9 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
     while True:
         state = read_state(directory.path)
         may_succeed = state.killed or DISK_FULL in (state.reason or "")
-        if state.stage == "done" or (state.stage == "failed" and (attempts == ATTEMPTS or not may_succeed)):
+        if state.stage == "done" or (
+            state.stage == "failed" and (attempts == ATTEMPTS or not may_succeed)
+        ):
             break
         directory.write_plan(config, f"trial {entries['trial']}", state.started, entries=entries)
         result = train(directory.path)
@@ -103,9 +113,13 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
 
 
 def success_auc(directory: RunDirectory) -> float:
-    """Return the normalised area under the success curve of a finished run, its final evaluation included."""
+    """Return the normalised area under the success curve of a finished run, its final evaluation
+    included.
+    """
     records, name = read_metrics(directory.path / METRICS_FILE), "eval/success_rate"
-    rates = {record["step"]: record["metrics"][name] for record in records if name in record["metrics"]}
+    rates = {
+        record["step"]: record["metrics"][name] for record in records if name in record["metrics"]
+    }
     result = directory.result()
     if result is not None and "final/success_rate" in result.metrics:
         rates[result.steps] = result.metrics["final/success_rate"]

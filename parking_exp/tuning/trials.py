@@ -1,4 +1,6 @@
-"""The trials of a search as validated rows, their results on test seeds, and the tables that show them."""
+"""The trials of a search as validated rows, their results on test seeds, and the tables that show
+them.
+"""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -61,7 +63,9 @@ class TrialRow:
 
 @dataclass(frozen=True)
 class RetestedTrial:
-    """A trial that was trained again on test seeds, with its objective on each tuning seed and on each test seed."""
+    """A trial that was trained again on test seeds, with its objective on each tuning seed and on
+    each test seed.
+    """
 
     number: int
     label: str
@@ -84,10 +88,21 @@ def check_trials(trials: Sequence[TrialRow], space: Mapping[str, Dimension]) -> 
         ConfigError: with the first of them.
     """
     for trial in trials:
-        outside = [key for key, value in trial.changes.items() if key not in space or not space[key].allows(value)]
-        outside += [key for key, value in trial.parameters.items() if not _is_parameter(space.get(key), value)]
+        outside = [
+            key
+            for key, value in trial.changes.items()
+            if key not in space or not space[key].allows(value)
+        ]
+        outside += [
+            key
+            for key, value in trial.parameters.items()
+            if not _is_parameter(space.get(key), value)
+        ]
         if outside:
-            raise ConfigError(f"the study is damaged: trial {trial.number} has {outside[0]} outside of search.space")
+            raise ConfigError(
+                f"the study is damaged: trial {trial.number} has {outside[0]} outside of "
+                "search.space"
+            )
 
 
 def _is_parameter(dimension: Dimension | None, value: Any) -> bool:
@@ -113,7 +128,9 @@ def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
         return TypeAdapter(TrialRow).validate_python({**entries, "parameters": parameters})
     except ValueError as error:
         entry = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
-        raise ConfigError(f"the study is damaged: trial {trial.number} has no valid {entry}") from error
+        raise ConfigError(
+            f"the study is damaged: trial {trial.number} has no valid {entry}"
+        ) from error
 
 
 def plain_choice(value: Any) -> float | str:
@@ -121,7 +138,9 @@ def plain_choice(value: Any) -> float | str:
     if not isinstance(value, str):
         return value
     choice = json.loads(value)
-    return choice if isinstance(choice, str | int | float) and not isinstance(choice, bool) else value
+    return (
+        choice if isinstance(choice, str | int | float) and not isinstance(choice, bool) else value
+    )
 
 
 def read_retest(folder: Path) -> list[RetestedTrial]:
@@ -130,12 +149,17 @@ def read_retest(folder: Path) -> list[RetestedTrial]:
     Raises:
         ValidationError: the file is damaged.
     """
-    return TypeAdapter(list[RetestedTrial]).validate_python(read_object(folder / RETEST_FILE).get("trials", []))
+    return TypeAdapter(list[RetestedTrial]).validate_python(
+        read_object(folder / RETEST_FILE).get("trials", [])
+    )
 
 
 def rank_trials(trials: Sequence[TrialRow]) -> list[TrialRow]:
     """Return the trials that are done, best first."""
-    return [trial for _, _, trial in sorted((-t.value, t.number, t) for t in trials if t.value is not None)]
+    return [
+        trial
+        for _, _, trial in sorted((-t.value, t.number, t) for t in trials if t.value is not None)
+    ]
 
 
 def count_states(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
@@ -147,10 +171,15 @@ def count_states(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
 def progress_table(trials: Sequence[TrialRow]) -> Table:
     """Return the best trials, then running and failed ones: state, value and changes."""
     table = Table("trial", "state", OBJECTIVE, "changes", box=None, pad_edge=False)
-    best, others = rank_trials(trials), [trial for trial in trials if trial.state in ("running", "failed")]
+    best, others = (
+        rank_trials(trials),
+        [trial for trial in trials if trial.state in ("running", "failed")],
+    )
     for trial in [*best[: max(1, MAX_SHOWN - len(others))], *others[:MAX_SHOWN]]:
         value = "" if trial.value is None else f"{trial.value:.1%}"
-        table.add_row(str(trial.number), trial.state, value, trial.reason or trial.label.partition(": ")[2])
+        table.add_row(
+            str(trial.number), trial.state, value, trial.reason or trial.label.partition(": ")[2]
+        )
     return table
 
 

@@ -8,7 +8,13 @@ from benchmarks import buffers, simulation, sweeps, training
 from benchmarks.updates import updates
 
 SHORT_RUN = (
-    *("n_envs=8", "updates_per_step=1", "algorithm.learning_starts=900", "total_timesteps=1200", "env.duration=4"),
+    *(
+        "n_envs=8",
+        "updates_per_step=1",
+        "algorithm.learning_starts=900",
+        "total_timesteps=1200",
+        "env.duration=4",
+    ),
     *("evaluation.every_n_steps=400", "evaluation.n_scenes=5", "evaluation.final_n_scenes=5"),
     "evaluation.video_episodes=1",
 )
@@ -27,28 +33,51 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
     step_s, few = 0.1 if quick else 0.5, min(rounds, 1 if quick else 3)
     capacity, samples = (200_000, 20) if quick else (1_000_000, 1000)
     return {
-        "simulator.n512.ratio": Figure(">=", 3000, partial(simulation.stepping, "parking", 512, rounds, step_s)),
-        "simulator.n8.ratio": Figure(">=", 250, partial(simulation.stepping, "parking", 8, rounds, step_s)),
+        "simulator.n512.ratio": Figure(
+            ">=", 3000, partial(simulation.stepping, "parking", 512, rounds, step_s)
+        ),
+        "simulator.n8.ratio": Figure(
+            ">=", 250, partial(simulation.stepping, "parking", 8, rounds, step_s)
+        ),
         "simulator.crowded.n512.ratio": Figure(
             ">=", 1500, partial(simulation.stepping, "parking_crowded", 512, rounds, step_s)
         ),
         "simulator.crowded.8_seen.n512.ratio": Figure(
             ">=", 2500, partial(simulation.stepping, "parking_crowded", 512, rounds, step_s, seen=8)
         ),
-        "evaluation.500_scenes.wall_s": Figure("<=", 1, partial(simulation.evaluation, 50 if quick else 500, rounds)),
+        "evaluation.500_scenes.wall_s": Figure(
+            "<=", 1, partial(simulation.evaluation, 50 if quick else 500, rounds)
+        ),
         **_updates(rounds, quick=quick),
-        "run.tutorial.ratio": Figure(">=", 1.8, partial(training.tutorial, rounds, rounds * 8 if quick else 3000)),
+        "run.tutorial.ratio": Figure(
+            ">=", 1.8, partial(training.tutorial, rounds, rounds * 8 if quick else 3000)
+        ),
         "run.fetch_reach.cost": Figure(
             "<=", 0.6, partial(training.fetch_reach, rounds, rounds * (80 if quick else 400))
         ),
-        "run.default.overhead": Figure("<=", 1.25, partial(training.overhead, few, *(SHORT_RUN if quick else ()))),
-        "her.sample.capacity_ratio": Figure("<=", 1.3, partial(buffers.capacity_ratio, capacity, samples, rounds)),
-        "her.sample.ratio": Figure(">=", 5, partial(buffers.against_sb3, capacity, samples, rounds)),
+        "run.default.overhead": Figure(
+            "<=", 1.25, partial(training.overhead, few, *(SHORT_RUN if quick else ()))
+        ),
+        "her.sample.capacity_ratio": Figure(
+            "<=", 1.3, partial(buffers.capacity_ratio, capacity, samples, rounds)
+        ),
+        "her.sample.ratio": Figure(
+            ">=", 5, partial(buffers.against_sb3, capacity, samples, rounds)
+        ),
         "her.bytes_per_transition": Figure("<=", 150, partial(buffers.memory, capacity)),
         "sweep.scaling.2_workers": Figure(
-            ">=", 1.85, partial(sweeps.scaling, few, sweeps.SHORT if quick else ("total_timesteps=80000",), all_cores)
+            ">=",
+            1.85,
+            partial(
+                sweeps.scaling,
+                few,
+                sweeps.SHORT if quick else ("total_timesteps=80000",),
+                all_cores,
+            ),
         ),
-        "sweep.overhead_s_per_run": Figure("<=", 6, partial(sweeps.overhead, 1 if quick else rounds, all_cores)),
+        "sweep.overhead_s_per_run": Figure(
+            "<=", 6, partial(sweeps.overhead, 1 if quick else rounds, all_cores)
+        ),
         "sweep.resume_scan_s.1000_runs": Figure(
             "<=", 2, partial(sweeps.scan, rounds, *((2, "buffer=replay") if quick else (30,)))
         ),

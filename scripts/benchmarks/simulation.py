@@ -16,7 +16,9 @@ from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
 
 
-def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float, seen: int = 0) -> dict[str, Any]:
+def stepping(
+    option: str, n_scenes: int, rounds: int, seconds_per_side: float, seen: int = 0
+) -> dict[str, Any]:
     """Compare steps per second with uniformly random actions; ended episodes are restarted.
 
     Args:
@@ -64,5 +66,8 @@ def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float, s
 def evaluation(n_scenes: int, rounds: int) -> dict[str, Any]:
     """Time the evaluation of the pretrained agent on many scenes."""
     policy, env = greedy_policy(load_model("pretrained")), compose().env
-    times = [seconds(lambda: evaluate(policy, make_task(env), range(n_scenes))) for _ in range(rounds + 1)]
+    times = [
+        seconds(lambda: evaluate(policy, make_task(env), range(n_scenes)))
+        for _ in range(rounds + 1)
+    ]
     return spread(times[1:])

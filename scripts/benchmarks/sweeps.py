@@ -19,7 +19,13 @@ BARE = (
     "evaluation.video_episodes=0",
 )
 SHORT = (
-    *("n_envs=8", "updates_per_step=1", "env.duration=4", "env.training_duration=2", "algorithm.learning_starts=100"),
+    *(
+        "n_envs=8",
+        "updates_per_step=1",
+        "env.duration=4",
+        "env.training_duration=2",
+        "algorithm.learning_starts=100",
+    ),
     "total_timesteps=108",
 )
 
@@ -30,24 +36,39 @@ def scaling(rounds: int, length: Sequence[str], all_cores: Sequence[int]) -> dic
     with _allowed(all_cores), tempfile.TemporaryDirectory() as folder:
         for number in range(rounds):
             one, two = (
-                _launch_seconds(Path(folder) / f"{number}-{workers}", workers, "seeds=2", *BARE, *length)
+                _launch_seconds(
+                    Path(folder) / f"{number}-{workers}", workers, "seeds=2", *BARE, *length
+                )
                 for workers in (1, 2)
             )
             ratios.append(one / two)
-    return spread(ratios) | {"peer": "the same two runs, one after the other", "cores": len(all_cores)}
+    return spread(ratios) | {
+        "peer": "the same two runs, one after the other",
+        "cores": len(all_cores),
+    }
 
 
 def overhead(rounds: int, all_cores: Sequence[int]) -> dict[str, Any]:
-    """Measure the seconds of a run besides training: a run of 108 env steps, 8 updates and one evaluated scene."""
+    """Measure the seconds of a run besides training: a run of 108 env steps, 8 updates and one
+    evaluated scene.
+    """
     with _allowed(all_cores), tempfile.TemporaryDirectory() as folder:
-        values = [_launch_seconds(Path(folder), 1, f"seed={seed}", *BARE, *SHORT) for seed in range(rounds + 1)]
+        values = [
+            _launch_seconds(Path(folder), 1, f"seed={seed}", *BARE, *SHORT)
+            for seed in range(rounds + 1)
+        ]
     return spread(values[1:])  # the first run created the store
 
 
 def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
-    """Measure the seconds to plan the cells of `her_ablation`, or some of them, whose runs are finished."""
+    """Measure the seconds to plan the cells of `her_ablation`, or some of them, whose runs are
+    finished.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        runs = compose_runs("config", ["experiment=her_ablation", *cells, f"seeds={n_seeds}", f"output_dir={folder}"])
+        runs = compose_runs(
+            "config",
+            ["experiment=her_ablation", *cells, f"seeds={n_seeds}", f"output_dir={folder}"],
+        )
         for run in plan(runs):
             run.path.mkdir(parents=True)
             entries = {"status": "done", "steps": 20_000, "label": run.label}
@@ -70,7 +91,9 @@ def _launch_seconds(output_dir: Path, workers: int, *overrides: str) -> float:
 
 @contextlib.contextmanager
 def _allowed(cores: Sequence[int]) -> Iterator[None]:
-    """Allow other cores than the one that the benchmark is pinned to, where the system supports it."""
+    """Allow other cores than the one that the benchmark is pinned to, where the system supports
+    it.
+    """
     if not hasattr(os, "sched_setaffinity"):
         yield
         return

@@ -1,4 +1,6 @@
-"""Time two sides alternately, so that drifts of the machine affect both, and summarise the ratios."""
+"""Time two sides alternately, so that drifts of the machine affect both, and summarise the
+ratios.
+"""
 
 import statistics
 import time
@@ -24,7 +26,9 @@ def seconds(task: Callable[[], object]) -> float:
 
 
 def interleave(ours: Side, peer: Side, rounds: int) -> dict[str, Any]:
-    """Return median, lowest and highest ratio of the rates, ours / peer's, after a warm-up call of both."""
+    """Return median, lowest and highest ratio of the rates, ours / peer's, after a warm-up call of
+    both.
+    """
     ours(), peer()
     pairs = [(rate(ours), rate(peer)) for _ in range(rounds)]
     medians = [rounded(statistics.median(rates)) for rates in zip(*pairs, strict=True)]

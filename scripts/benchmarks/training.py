@@ -24,16 +24,22 @@ from parking_exp.training.train_run import train
 
 
 def tutorial(rounds: int, steps: int) -> dict[str, Any]:
-    """Compare training steps per second of the tutorial's recipe, over `steps` on each side after a warm-up."""
+    """Compare training steps per second of the tutorial's recipe, over `steps` on each side after a
+    warm-up.
+    """
     options = ("experiment=tutorial", "torch_threads=1")
     config = compose(*options)
     env: Any = config.env
     peer = _sb3_model(compose(*options, *sb3_classes("sac")), SAC, Monitor(make_env(env)))
-    return _training_rates(config, peer, rounds, steps) | {"peer": "plain stable-baselines3 + highway-env"}
+    return _training_rates(config, peer, rounds, steps) | {
+        "peer": "plain stable-baselines3 + highway-env"
+    }
 
 
 def fetch_reach(rounds: int, steps: int) -> dict[str, Any]:
-    """Compare CPU time per env step, updates included, of FetchReach with the same settings on both sides."""
+    """Compare CPU time per env step, updates included, of FetchReach with the same settings on both
+    sides.
+    """
     options = ("env=fetch_reach", "algorithm=td3", "algorithm.normalize=false", "torch_threads=1")
     config = compose(*options)
     env: Any = config.env
@@ -42,7 +48,9 @@ def fetch_reach(rounds: int, steps: int) -> dict[str, Any]:
     entry = _training_rates(config, peer, rounds, steps)
     times = {
         name: rounded(1 / entry[key])
-        for name, key in zip(("value", "lowest", "highest"), ("value", "highest", "lowest"), strict=True)
+        for name, key in zip(
+            ("value", "lowest", "highest"), ("value", "highest", "lowest"), strict=True
+        )
     }
     return entry | times | {"peer": "plain stable-baselines3", "unit": "CPU-s per env step"}
 
@@ -67,7 +75,9 @@ def _training_rates(config: RunConfig, peer: Any, rounds: int, steps: int) -> di
 
 
 def overhead(rounds: int, *changes: str) -> dict[str, Any]:
-    """Compare the wall time of the default run with that of its training without logs, checkpoints and evaluation."""
+    """Compare the wall time of the default run with that of its training without logs, checkpoints
+    and evaluation.
+    """
     ratios = []
     with tempfile.TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):
         options = (f"output_dir={folder}", "tracking.progress_bar=false", *changes)
@@ -75,7 +85,10 @@ def overhead(rounds: int, *changes: str) -> dict[str, Any]:
         for seed in range(rounds):
             config = compose(f"seed={seed}", *options)
             ratios.append(seconds(partial(train, config)) / seconds(partial(_bare, config)))
-    return spread(ratios) | {"peer": "the same training, bare", "unit": "wall time of the default run"}
+    return spread(ratios) | {
+        "peer": "the same training, bare",
+        "unit": "wall time of the default run",
+    }
 
 
 def _bare(config: RunConfig) -> None:
@@ -91,11 +104,15 @@ def _model(config: RunConfig) -> Any:
 
 
 def _sb3_model(config: RunConfig, algorithm: type, envs: Any) -> Any:
-    """Return the model of a config with Stable-Baselines3's own classes, without any of this package's."""
+    """Return the model of a config with Stable-Baselines3's own classes, without any of this
+    package's.
+    """
     arguments = dict(config.algorithm.arguments)
     if noise := arguments.get("action_noise"):
         size = envs.action_space.shape
-        arguments["action_noise"] = NormalActionNoise(np.full(size, noise["mean"]), np.full(size, noise["sigma"]))
+        arguments["action_noise"] = NormalActionNoise(
+            np.full(size, noise["mean"]), np.full(size, noise["sigma"])
+        )
     train_freq, gradient_steps = config.update_rounds()
     names = ("learning_rate", "learning_starts", "batch_size", "gamma", "tau", "action_noise")
     return algorithm(

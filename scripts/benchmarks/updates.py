@@ -13,15 +13,25 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.tasks.training_envs import make_training_envs
 
 
-def updates(algorithm: str, net: str, rounds: int, *, peer: str, gradient_steps: int, quick: bool) -> dict[str, Any]:
+def updates(
+    algorithm: str, net: str, rounds: int, *, peer: str, gradient_steps: int, quick: bool
+) -> dict[str, Any]:
     """Compare updates per second with a peer, `stable-baselines3` or `sbx`.
 
     Our wide networks have precision=medium; the peer has torch's or JAX's default.
     """
     widths = [int(width) for width in net.split("x")]  # 3x256: three layers of 256 units
     is_wide = widths[1] >= 128
-    options = [f"algorithm={algorithm}", f"algorithm.net_arch={[widths[1]] * widths[0]}", "algorithm.batch_size=256"]
-    options += ["n_envs=8", f"updates_per_step={gradient_steps / 8}", "algorithm.learning_starts=1000"]
+    options = [
+        f"algorithm={algorithm}",
+        f"algorithm.net_arch={[widths[1]] * widths[0]}",
+        "algorithm.batch_size=256",
+    ]
+    options += [
+        "n_envs=8",
+        f"updates_per_step={gradient_steps / 8}",
+        "algorithm.learning_starts=1000",
+    ]
     options += ["precision=medium"] if is_wide else []
     # As in experiment=tutorial; sbx has no other features.
     options += ["algorithm.features=raw"] if is_wide or peer == "sbx" else []

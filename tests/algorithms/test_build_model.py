@@ -27,13 +27,19 @@ def built(*overrides, seed=0):
 
 def test_what_needs_the_envs_reward_is_refused_for_an_env_that_has_none():
     with pytest.raises(ConfigError, match="relabel_collision"):
-        build_model(make_config(*SMALL, "buffer.relabel_collision=keep"), DummyVecEnv([Reach, Reach]), seed=0)
+        build_model(
+            make_config(*SMALL, "buffer.relabel_collision=keep"),
+            DummyVecEnv([Reach, Reach]),
+            seed=0,
+        )
 
 
 @pytest.mark.parametrize("simulator", slow_but(["vectorized"], ["vectorized", "highway_env"]))
 @pytest.mark.parametrize("buffer", options("buffer"))
 def test_every_buffer_binds_to_its_constructor(buffer, simulator):
-    made = built(f"buffer={buffer}", "algorithm.learning_starts=40", f"env.simulator={simulator}").replay_buffer
+    made = built(
+        f"buffer={buffer}", "algorithm.learning_starts=40", f"env.simulator={simulator}"
+    ).replay_buffer
     assert type(made) is HerBuffer
     assert (made.reward.failure_penalty, made.reward.threshold) == (-5, -0.1)
     if buffer == "replay":
@@ -55,10 +61,21 @@ def test_every_argument_arrives():
         "+algorithm.policy_kwargs.activation_fn={_target_:torch.nn.LeakyReLU,negative_slope:0.3}",
         f"algorithm.learning_rate={schedule}", seed=5,
     )  # fmt: skip
-    slopes = {module.negative_slope for module in model.actor.modules() if isinstance(module, torch.nn.LeakyReLU)}
+    slopes = {
+        module.negative_slope
+        for module in model.actor.modules()
+        if isinstance(module, torch.nn.LeakyReLU)
+    }
     assert slopes == {0.3}
-    assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([1e-2, 5.5e-3, 1e-3])
-    assert (model.policy_delay, model.target_policy_noise, model.gamma, model.tau) == (3, 0.3, 0.9, 0.02)
+    assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx(
+        [1e-2, 5.5e-3, 1e-3]
+    )
+    assert (model.policy_delay, model.target_policy_noise, model.gamma, model.tau) == (
+        3,
+        0.3,
+        0.9,
+        0.02,
+    )
     assert (model.batch_size, model.buffer_size, model.seed) == (33, 640, 5)
     assert model.policy_kwargs["net_arch"] == [7, 5]
     assert len(model.critic.q_networks) == 3
@@ -71,11 +88,14 @@ def test_classes_among_the_policys_arguments_are_dotted_paths_or_targets(algorit
     classes = {"activation_fn": "torch.nn.Tanh", "optimizer_class": "torch.optim.AdamW"}
     arguments = ",".join(f"{key}:{value.format(name=name)}" for key, name in classes.items())
     model = built(
-        f"algorithm={algorithm}", f"+algorithm.policy_kwargs={{{arguments},optimizer_kwargs:{{weight_decay:0.5}}}}"
+        f"algorithm={algorithm}",
+        f"+algorithm.policy_kwargs={{{arguments},optimizer_kwargs:{{weight_decay:0.5}}}}",
     )
     model.learn(60)
     assert model._n_updates > 0
-    assert {type(module) for module in model.actor.modules()} & {torch.nn.Tanh, torch.nn.ReLU} == {torch.nn.Tanh}
+    assert {type(module) for module in model.actor.modules()} & {torch.nn.Tanh, torch.nn.ReLU} == {
+        torch.nn.Tanh
+    }
     for network in (model.actor, model.critic):
         assert type(network.optimizer) is torch.optim.AdamW
         assert network.optimizer.param_groups[0]["weight_decay"] == 0.5
@@ -83,7 +103,9 @@ def test_classes_among_the_policys_arguments_are_dotted_paths_or_targets(algorit
 
 def test_another_features_extractor_takes_the_place_of_ours():
     extractor = "stable_baselines3.common.torch_layers.CombinedExtractor"
-    kwargs = f"{{features_extractor_class:{extractor},features_extractor_kwargs:{{cnn_output_dim:32}}}}"
+    kwargs = (
+        f"{{features_extractor_class:{extractor},features_extractor_kwargs:{{cnn_output_dim:32}}}}"
+    )
     model = built("algorithm.features=raw", f"+algorithm.policy_kwargs={kwargs}")
     assert type(model.actor.features_extractor) is CombinedExtractor
     assert model.policy_kwargs["features_extractor_kwargs"] == {"cnn_output_dim": 32}
@@ -92,7 +114,9 @@ def test_another_features_extractor_takes_the_place_of_ours():
 def test_what_the_library_refuses_is_a_config_error():
     """Here what our own check of the config would have refused before."""
     config = make_config(*SMALL)
-    algorithm = config.algorithm.model_copy(update={"policy_kwargs": {"optimizer_kwargs": {"betas": [2, 2]}}})
+    algorithm = config.algorithm.model_copy(
+        update={"policy_kwargs": {"optimizer_kwargs": {"betas": [2, 2]}}}
+    )
     config = config.model_copy(update={"algorithm": algorithm})
     with pytest.raises(ConfigError, match=r"parking_exp.algorithms.SAC .*Invalid beta"):
         build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
@@ -120,5 +144,7 @@ model.save(Path(tempfile.mkdtemp()) / "model.zip")
 print(model._n_updates > 0, "torch._dynamo" in sys.modules)
 """
     tests = Path(__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=tests)
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=tests
+    )
     assert done.stdout == "True False\n"

@@ -26,9 +26,13 @@ ALGORITHMS = {option: (f"algorithm={option}",) for option in options("algorithm"
 def state(model, directory):
     """All tensors that the model's file has, and its actions on random observations, as bytes."""
     rng = np.random.default_rng(0)
-    observations = {name: rng.standard_normal((32, *box.shape)) for name, box in model.observation_space.items()}
+    observations = {
+        name: rng.standard_normal((32, *box.shape)) for name, box in model.observation_space.items()
+    }
     model.save(directory / "state.zip")
-    return parameters(directory / "state.zip") | {"actions": exact(greedy_policy(model)(observations))}
+    return parameters(directory / "state.zip") | {
+        "actions": exact(greedy_policy(model)(observations))
+    }
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -37,7 +41,9 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp
     config, best = make_config(*SMOKE, *ALGORITHMS[algorithm]), tmp_path / "best.zip"
     model, other = model_of(config).learn(60), model_of(config, seed=1)
     assert model._n_updates > 0
-    folder = checkpoints.save(tmp_path, model, checkpoints.SavedProgress(step=60), best, keep_last=1)
+    folder = checkpoints.save(
+        tmp_path, model, checkpoints.SavedProgress(step=60), best, keep_last=1
+    )
     saved = state(model, tmp_path)
     model.train(2, model.batch_size)
     updated = state(model, tmp_path)
@@ -47,7 +53,9 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp
     assert state(other, tmp_path) == updated
 
 
-@pytest.mark.parametrize(("name", "lost"), [("ForgetsExtraNetwork", "curiosity"), ("SavesNothing", "all weights")])
+@pytest.mark.parametrize(
+    ("name", "lost"), [("ForgetsExtraNetwork", "curiosity"), ("SavesNothing", "all weights")]
+)
 def test_a_class_whose_files_would_lose_weights_is_refused(name, lost):
     with pytest.raises(ConfigError, match=rf"^{USER}\.{name}: .*{lost}$"):
         make_model(*SMOKE, f"{USER}.{name}")

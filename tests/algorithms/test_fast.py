@@ -1,4 +1,6 @@
-"""The fast update is Stable-Baselines3's: the same weights, batches and noise give the same parameters."""
+"""The fast update is Stable-Baselines3's: the same weights, batches and noise give the same
+parameters.
+"""
 
 import copy
 
@@ -23,19 +25,28 @@ ALGORITHMS = ("SAC", "TD3", "DDPG")
 
 def make_model(name, *overrides, module=fast, seed=0):
     target = f"algorithm._target_={'parking_exp.algorithms.fast' if module is fast else 'stable_baselines3'}.{name}"
-    few = ("n_envs=8", "updates_per_step=1", "algorithm.learning_starts=1000", "algorithm.batch_size=64")
+    few = (
+        "n_envs=8",
+        "updates_per_step=1",
+        "algorithm.learning_starts=1000",
+        "algorithm.batch_size=64",
+    )
     return models.make_model(f"algorithm={name.lower()}", target, *few, *overrides, seed=seed)
 
 
 def pair(name, *overrides, seed=0):
     """Stable-Baselines3's model and ours, with the same weights."""
-    theirs, ours = (make_model(name, *overrides, module=module, seed=seed) for module in (sb3, fast))
+    theirs, ours = (
+        make_model(name, *overrides, module=module, seed=seed) for module in (sb3, fast)
+    )
     ours.set_parameters(theirs.get_parameters())
     return theirs, ours
 
 
 def batches(number, batch_size, seed):
-    """Batches like those of a buffer: observations of parking's size, some episodes over, rewards below zero."""
+    """Batches like those of a buffer: observations of parking's size, some episodes over, rewards
+    below zero.
+    """
     generator = torch.Generator().manual_seed(seed)
 
     def observation():
@@ -73,7 +84,9 @@ def update(model, samples, calls=100, seed=0):
         model.train(gradient_steps=len(samples) // calls, batch_size=len(samples[0].rewards))
 
 
-@pytest.mark.parametrize("features", slow_but(["ego_mirrored", "raw"], ["ego_mirrored", "ego_fine", "ego", "raw"]))
+@pytest.mark.parametrize(
+    "features", slow_but(["ego_mirrored", "raw"], ["ego_mirrored", "ego_fine", "ego", "raw"])
+)
 @pytest.mark.parametrize("seed", slow_but([0], range(4)))
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_100_updates_give_the_parameters_of_stable_baselines3(name, seed, features):
@@ -117,7 +130,9 @@ def test_what_is_logged_is_what_stable_baselines3_logs(name):
     for model in (theirs, ours):
         update(model, samples, calls=1)
     logged = theirs.logger.name_to_value
-    assert ours.logger.name_to_value == {key: pytest.approx(value, abs=1e-5) for key, value in logged.items()}
+    assert ours.logger.name_to_value == {
+        key: pytest.approx(value, abs=1e-5) for key, value in logged.items()
+    }
 
 
 def test_weights_that_are_loaded_or_moved_between_updates_are_used():
@@ -127,7 +142,9 @@ def test_weights_that_are_loaded_or_moved_between_updates_are_used():
     update(donor, samples[:10], calls=10)
     for model in (theirs, ours):
         update(model, samples[:10], calls=10)
-        model.set_parameters(copy.deepcopy(donor.get_parameters()))  # torch would take the state itself, not a copy
+        model.set_parameters(
+            copy.deepcopy(donor.get_parameters())
+        )  # torch would take the state itself, not a copy
         model.actor.mu.weight.data = model.actor.mu.weight.data.clone()
         update(model, samples[10:], calls=20)
     assert furthest(ours, theirs) < 1e-5
@@ -145,7 +162,10 @@ def test_weights_that_are_loaded_or_moved_between_updates_are_used():
 )
 def test_unsupported_models_are_trained_by_stable_baselines3(arguments):
     env = make_training_envs(make_config().env, 2)
-    theirs, ours = (module.SAC("MultiInputPolicy", env, seed=0, buffer_size=10, **arguments) for module in (sb3, fast))
+    theirs, ours = (
+        module.SAC("MultiInputPolicy", env, seed=0, buffer_size=10, **arguments)
+        for module in (sb3, fast)
+    )
     assert not is_supported(ours)
     samples = batches(5, 64, 0)
     for model in (theirs, ours):
@@ -165,7 +185,9 @@ class OtherExtractor(CombinedExtractor):
 def test_subclasses_and_partly_trained_actors_are_not_supported():
     env = make_training_envs(make_config().env, 2)
     extractor = {"features_extractor_class": OtherExtractor}
-    assert not is_supported(fast.SAC("MultiInputPolicy", env, buffer_size=10, policy_kwargs=extractor))
+    assert not is_supported(
+        fast.SAC("MultiInputPolicy", env, buffer_size=10, policy_kwargs=extractor)
+    )
     model = fast.SAC("MultiInputPolicy", env, buffer_size=10)
     assert is_supported(model)
     model.actor.__class__ = OtherActor
@@ -176,14 +198,21 @@ def test_subclasses_and_partly_trained_actors_are_not_supported():
 
 
 def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
-    """8 x 64 transitions of HER with n_sampled_goal=4: int(.8 x 512) = 409 virtual ones, 51 or 52 in each minibatch."""
+    """8 x 64 transitions of HER with n_sampled_goal=4: int(.8 x 512) = 409 virtual ones, 51 or 52
+    in each minibatch.
+    """
     model = make_model(
-        "SAC", "buffer.relabel_collision=keep", "buffer.relabel_terminated=goal", "buffer.n_sampled_goal=4"
+        "SAC",
+        "buffer.relabel_collision=keep",
+        "buffer.relabel_terminated=goal",
+        "buffer.n_sampled_goal=4",
     )
     model.learning_starts = 4000
     model.learn(4000)
     real = {tuple(goal) for goal in np.float32(model.replay_buffer.episodes.table["goal"]).tolist()}
-    model.actor.extract_features = lambda observation, extractor: observation["desired_goal"].float()
+    model.actor.extract_features = lambda observation, extractor: observation[
+        "desired_goal"
+    ].float()
     virtual = []
     for minibatch in sample_minibatches(model, 8, 64):
         assert minibatch.features.shape == (128, 6)
@@ -193,4 +222,6 @@ def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
     assert sum(virtual) == 409
     assert set(virtual) == {51, 52}
     # Very many are sampled in parts.
-    assert [len(minibatch.actions) for minibatch in sample_minibatches(model, 130, 16)] == [16] * 130
+    assert [len(minibatch.actions) for minibatch in sample_minibatches(model, 130, 16)] == [
+        16
+    ] * 130

@@ -15,12 +15,21 @@ WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
 
 def features(car, goal, make=EgoFrameExtractor):
-    """Features for (x, y, heading, speed) of the car and the same of the goal, in metres and radians."""
+    """Features for (x, y, heading, speed) of the car and the same of the goal, in metres and
+    radians.
+    """
     x, y, heading, speed = car
     goal_x, goal_y, goal_heading, goal_speed = (*goal, 0)[:4]
     space = make_env(make_config().env).observation_space
     observation = np.array(
-        [x, y, speed * math.cos(heading), speed * math.sin(heading), math.cos(heading), math.sin(heading)]
+        [
+            x,
+            y,
+            speed * math.cos(heading),
+            speed * math.sin(heading),
+            math.cos(heading),
+            math.sin(heading),
+        ]
     )
     cos, sin = math.cos(goal_heading), math.sin(goal_heading)
     desired = np.array([goal_x, goal_y, goal_speed * cos, goal_speed * sin, cos, sin])

@@ -12,7 +12,11 @@ from parking_exp.algorithms.fast.fast_training import is_supported
 
 # The bound and four standard deviations of a rate over 200 episodes: 1 %.
 UNTRAINED = CHANCE + 4 * (CHANCE * (1 - CHANCE) / 200) ** 0.5
-AS_SB3 = ("buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3", "buffer.goal_velocity=achieved")
+AS_SB3 = (
+    "buffer.relabel_collision=sb3",
+    "buffer.relabel_terminated=sb3",
+    "buffer.goal_velocity=achieved",
+)
 
 
 def untrained(algorithm, *overrides):
@@ -30,7 +34,12 @@ def untrained(algorithm, *overrides):
     return model
 
 
-STEPS_AND_RATE = {"sac": (3000, 0.95), "td3": (3000, 0.95), "ddpg": (3000, 0.95), "crossq": (8000, 0.2)}
+STEPS_AND_RATE = {
+    "sac": (3000, 0.95),
+    "td3": (3000, 0.95),
+    "ddpg": (3000, 0.95),
+    "crossq": (8000, 0.2),
+}
 
 
 @pytest.mark.parametrize("algorithm", slow_but(["sac"], STEPS_AND_RATE))

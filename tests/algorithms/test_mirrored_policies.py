@@ -1,4 +1,6 @@
-"""Mirrored policies: the mirror image of a scene gets the mirror image of the action, and the same values."""
+"""Mirrored policies: the mirror image of a scene gets the mirror image of the action, and the same
+values.
+"""
 
 import numpy as np
 import pytest
@@ -17,7 +19,17 @@ def scenes(n=200):
     rng = np.random.default_rng(0)
     heading, speed = rng.uniform(0, 2 * np.pi, n), rng.uniform(-2, 2, n)
     cos, sin = np.cos(heading), np.sin(heading)
-    car = np.stack([rng.uniform(-0.3, 0.3, n), rng.uniform(-0.15, 0.15, n), speed * cos, speed * sin, cos, sin], 1)
+    car = np.stack(
+        [
+            rng.uniform(-0.3, 0.3, n),
+            rng.uniform(-0.15, 0.15, n),
+            speed * cos,
+            speed * sin,
+            cos,
+            sin,
+        ],
+        1,
+    )
     row = rng.choice([-1, 1], n)
     zero = np.zeros(n)
     goal = np.stack([rng.uniform(-0.3, 0.3, n), 0.14 * row, zero, zero, zero, row], 1)
@@ -37,15 +49,23 @@ def test_the_mirror_image_of_a_scene_gets_the_mirror_image_of_the_action(algorit
     with torch.no_grad():
         action, other = model.actor(scene), model.actor(mirrored)
         if algorithm == "sac":
-            action, other = model.actor(scene, deterministic=True), model.actor(mirrored, deterministic=True)
+            action, other = (
+                model.actor(scene, deterministic=True),
+                model.actor(mirrored, deterministic=True),
+            )
         torch.testing.assert_close(other, action * torch.tensor([1.0, -1.0]))
         assert action.std(0).min() > 0.01
         given = torch.rand(len(car), 2) * 2 - 1
-        values = model.critic(scene, given), model.critic(mirrored, given * torch.tensor([1.0, -1.0]))
+        values = (
+            model.critic(scene, given),
+            model.critic(mirrored, given * torch.tensor([1.0, -1.0])),
+        )
         for value, mirrored_value in zip(*values, strict=True):
             torch.testing.assert_close(value, mirrored_value)
         assert torch.equal(model.critic.q1_forward(scene, given), values[0][0])
-        assert not torch.allclose(model.critic.q1_forward(scene, given * torch.tensor([1.0, -1.0])), values[0][0])
+        assert not torch.allclose(
+            model.critic.q1_forward(scene, given * torch.tensor([1.0, -1.0])), values[0][0]
+        )
 
 
 def test_sampled_actions_are_mirrored_and_their_probabilities_are_not():
@@ -64,7 +84,9 @@ def test_sampled_actions_are_mirrored_and_their_probabilities_are_not():
 def test_the_scene_is_mirrored_where_the_goal_is_to_the_right_of_the_car():
     extractor = make_model("algorithm=td3", *ONE).actor.features_extractor
     goal = np.array([[0.1, 0.14, 0, 0, 0, 1], [0.1, -0.14, 0, 0, 0, -1], [0.1, 0.14, 0, 0, 0, 1]])
-    car = np.array([[0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]])  # two look along +x, one along +y
+    car = np.array(
+        [[0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]]
+    )  # two look along +x, one along +y
     assert extractor.sign(tensors(car, goal)).tolist() == [[1], [-1], [-1]]
     features = extractor(tensors(car, goal))
     assert features[:, 1].tolist() == pytest.approx([1.4, 1.4, 1.0])  # to the left

@@ -1,4 +1,6 @@
-"""Normalisation: one scale for all goals, means and deviations of what was seen, saved with the policy."""
+"""Normalisation: one scale for all goals, means and deviations of what was seen, saved with the
+policy.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +24,11 @@ def test_entries_are_scaled_by_mean_and_deviation_and_both_goals_alike():
     for part in (slice(None, 20), slice(20, None)):
         normalizer.update({key: values[part] for key, values in entries.items()})
     goals = np.concatenate([entries["achieved_goal"], entries["desired_goal"]])
-    for key, known in (("observation", entries["observation"]), ("achieved_goal", goals), ("desired_goal", goals)):
+    for key, known in (
+        ("observation", entries["observation"]),
+        ("achieved_goal", goals),
+        ("desired_goal", goals),
+    ):
         expected = np.clip((entries[key] - known.mean(0)) / known.std(0), -5, 5)
         scaled = normalizer(key, torch.as_tensor(entries[key]))
         assert scaled.dtype == torch.float32
@@ -39,9 +45,16 @@ def test_before_any_update_nothing_is_scaled():
 
 @pytest.mark.parametrize("algorithm", ["sac", "td3"])
 def test_all_networks_share_the_statistics_which_are_saved_with_the_model(algorithm, tmp_path):
-    options = ["experiment=smoke", f"algorithm={algorithm}", "algorithm.features=raw", "algorithm.normalize=true"]
+    options = [
+        "experiment=smoke",
+        f"algorithm={algorithm}",
+        "algorithm.features=raw",
+        "algorithm.normalize=true",
+    ]
     model, other = make_model(*options), make_model(*options, seed=1)
-    extractors = {id(part) for part in model.policy.modules() if isinstance(part, NormalizedExtractor)}
+    extractors = {
+        id(part) for part in model.policy.modules() if isinstance(part, NormalizedExtractor)
+    }
     normalizers = {id(part) for part in model.policy.modules() if isinstance(part, Normalizer)}
     assert len(extractors) > 1 == len(normalizers)
     rng = np.random.default_rng(1)

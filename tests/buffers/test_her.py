@@ -1,4 +1,6 @@
-"""The HER buffer: Stable-Baselines3's batches, drawn from the same distributions, and what our options change."""
+"""The HER buffer: Stable-Baselines3's batches, drawn from the same distributions, and what our
+options change.
+"""
 
 import pickle
 
@@ -37,9 +39,9 @@ STRATEGY_NAMES = ["future", "final", "episode"]
 class Transitions:
     """Transitions whose fields say where they come from: env, episode, and index in it.
 
-    Observation t of an episode is (t, env, t, episode, 0, 0), the goal (-1, env, -1, episode, 0, 0), the action
-    (episode, t), the reward -(100 episode + t). The third and the fourth entry are velocities. An offset is between
-    observation and achieved goal.
+    Observation t of an episode is (t, env, t, episode, 0, 0), the goal (-1, env, -1, episode, 0,
+    0), the action (episode, t), the reward -(100 episode + t). The third and the fourth entry are
+    velocities. An offset is between observation and achieved goal.
     """
 
     def __init__(self, n_envs, seed=0, longest=7, offset=0):
@@ -51,10 +53,16 @@ class Transitions:
     def observation(self, index):
         index = np.broadcast_to(index, self.n_envs)
         zero = np.zeros(self.n_envs)
-        observed = np.stack([index, np.arange(self.n_envs), index, self.episode, zero, zero], axis=1).astype(float)
+        observed = np.stack(
+            [index, np.arange(self.n_envs), index, self.episode, zero, zero], axis=1
+        ).astype(float)
         goal = observed.copy()
         goal[:, [0, 2]] = -1
-        return {"observation": observed + self.offset, "achieved_goal": observed, "desired_goal": goal}
+        return {
+            "observation": observed + self.offset,
+            "achieved_goal": observed,
+            "desired_goal": goal,
+        }
 
     def __next__(self):
         end = (self.rng.random(self.n_envs) < 1 / self.longest) | (self.index >= self.longest)
@@ -99,7 +107,9 @@ def drawable(ours):
     """Indices of the transitions that may be drawn."""
     episodes = ours.episodes
     ranges = [(env, range(episodes.tail[env], episodes.head[env])) for env in range(ours.n_envs)]
-    return sorted(int(episodes.index(np.array(step), env)) for env, steps in ranges for step in steps)
+    return sorted(
+        int(episodes.index(np.array(step), env)) for env, steps in ranges for step in steps
+    )
 
 
 def records_of(ours, index):
@@ -119,8 +129,12 @@ def assert_equal(ours, theirs):
 
 
 def assert_same_batches(ours, theirs, index, goal_index, normalize=None):
-    """Real and virtual transitions of Stable-Baselines3's buffer, with these goals, are what ours gives."""
-    goals = theirs.next_observations["achieved_goal"].reshape(-1, *ours.storage.formats["achieved_goal"][1])
+    """Real and virtual transitions of Stable-Baselines3's buffer, with these goals, are what ours
+    gives.
+    """
+    goals = theirs.next_observations["achieved_goal"].reshape(
+        -1, *ours.storage.formats["achieved_goal"][1]
+    )
     theirs._sample_goals = lambda *_: goals[goal_index]
     at = (*np.divmod(index, ours.n_envs), normalize)
     assert_equal(batch_of(ours, index, goal_index, normalize), theirs._get_virtual_samples(*at))
@@ -131,7 +145,9 @@ def assert_same_batches(ours, theirs, index, goal_index, normalize=None):
 @pytest.mark.parametrize("n_envs", [1, 8])
 @pytest.mark.parametrize("steps", [30, 95, 613])
 def test_given_the_same_indices_batches_are_stable_baselines3s(n_envs, steps, normalized):
-    """Before the buffer is full, and after it was overwritten several times (12 rows for 8 envs, 100 for one)."""
+    """Before the buffer is full, and after it was overwritten several times (12 rows for 8 envs,
+    100 for one).
+    """
     ours, theirs = pair(100, n_envs, steps)
     normalize = None
     if normalized:
@@ -170,14 +186,18 @@ def test_an_episode_longer_than_the_buffer_keeps_its_end():
     drawn = ours.sample(5000)
     assert set(drawn.actions[:, 1].tolist()) == set(range(15, 25))
     assert set(drawn.observations["desired_goal"][1000:, 0].tolist()) == set(range(16, 26))
-    ours.add(*next(transitions))  # the next one overwrites its beginning: it is forgotten as a whole
+    ours.add(
+        *next(transitions)
+    )  # the next one overwrites its beginning: it is forgotten as a whole
     assert drawable(ours) == []
 
 
 @pytest.mark.parametrize("n_envs", [1, 8])
 @pytest.mark.parametrize("strategy", STRATEGY_NAMES)
 def test_indices_are_drawn_from_stable_baselines3s_distribution(strategy, n_envs):
-    """Transition and goal index together, 200,000 draws of each, by a two-sample chi-square test."""
+    """Transition and goal index together, 200,000 draws of each, by a two-sample chi-square
+    test.
+    """
     steps = 150 if n_envs == 1 else 25  # the buffer has been overwritten in part
     ours, theirs = pair(100, n_envs, steps, goal_selection_strategy=strategy)
     theirs.goal_selection_strategy = type(theirs.goal_selection_strategy)[strategy.upper()]
@@ -202,7 +222,9 @@ def test_indices_are_drawn_from_stable_baselines3s_distribution(strategy, n_envs
 
 
 def test_random_takes_goals_from_everything_stored():
-    """From episodes under way too, all with the same probability; the transition itself is from a whole episode."""
+    """From episodes under way too, all with the same probability; the transition itself is from a
+    whole episode.
+    """
     ours, _ = pair(100, 8, 25, goal_selection_strategy="random")
     ours.rng = np.random.default_rng(0)
     drawn = ours.episodes.draw(ours.rng, 100_000)
@@ -215,16 +237,26 @@ def test_random_takes_goals_from_everything_stored():
 
 @pytest.mark.parametrize("strategy", ["future", "episode"])
 @pytest.mark.parametrize(
-    ("n_envs", "offset"), slow_but([(8, 0)], [(1, 5), (8, 0)], several=True), ids=["wide", "compact"]
+    ("n_envs", "offset"),
+    slow_but([(8, 0)], [(1, 5), (8, 0)], several=True),
+    ids=["wide", "compact"],
 )
 @pytest.mark.parametrize("velocity", ["achieved", "zero"])
 @pytest.mark.parametrize("collision", ["keep", "sb3", "exclude"])
 @pytest.mark.parametrize("terminated", ["sb3", "goal", "goal_and_crash", "env"])
 @pytest.mark.parametrize("reward", slow_but([REWARD], [REWARD, SPARSE]), ids=["dense", "sparse"])
-def test_what_every_relabelled_transition_carries(reward, n_envs, offset, velocity, collision, terminated, strategy):
+def test_what_every_relabelled_transition_carries(
+    reward, n_envs, offset, velocity, collision, terminated, strategy
+):
     """Goal, reward, end and crash, worked out from the fields, after wrap-around."""
-    relabel = {"relabel_collision": collision, "relabel_terminated": terminated, "goal_velocity": velocity}
-    ours = make(size=40 * n_envs, n_envs=n_envs, reward=reward, goal_selection_strategy=strategy, **relabel)
+    relabel = {
+        "relabel_collision": collision,
+        "relabel_terminated": terminated,
+        "goal_velocity": velocity,
+    }
+    ours = make(
+        size=40 * n_envs, n_envs=n_envs, reward=reward, goal_selection_strategy=strategy, **relabel
+    )
     transitions, kept, cases = Transitions(n_envs, offset=offset), 0, set()
     fill(transitions, 333, ours)
     assert ours.storage.compact == (offset == 0)
@@ -236,20 +268,37 @@ def test_what_every_relabelled_transition_carries(reward, n_envs, offset, veloci
             later, (last, how) = goal[0], transitions.ends[env, episode]
             crashed = how == "crash" and index == last
             if later == -1:  # it keeps the goal that it had
-                # A virtual goal is a crash where it is the last; `env`: it may be where the transition begins.
-                assert (collision, how) == ("exclude", "crash") or (terminated, strategy) == ("env", "episode")
+                # A virtual goal is a crash where it is the last; `env`: it may be where the
+                # transition begins.
+                assert (collision, how) == ("exclude", "crash") or (terminated, strategy) == (
+                    "env",
+                    "episode",
+                )
                 assert batch.rewards[row].item() == -(100.0 * episode + index)
                 assert batch.dones[row].item() == (index == last and how != "timeout")
                 kept += 1
                 continue
-            assert goal[1:].tolist() == [env, *((0, 0) if velocity == "zero" else (later, episode)), 0, 0]
+            assert goal[1:].tolist() == [
+                env,
+                *((0, 0) if velocity == "zero" else (later, episode)),
+                0,
+                0,
+            ]
             assert index < later or strategy == "episode"
             assert later <= last + 1
-            assert not (collision == "exclude" and (crashed or (how == "crash" and later == last + 1)))
-            assert not (terminated == "env" and reward(np.array([index, env, 0, 0, 0, 0.0]), goal)[1])
-            goal_reward, reached = reward(np.array([index + 1, env, index + 1, episode, 0, 0.0]), goal)
+            assert not (
+                collision == "exclude" and (crashed or (how == "crash" and later == last + 1))
+            )
+            assert not (
+                terminated == "env" and reward(np.array([index, env, 0, 0, 0, 0.0]), goal)[1]
+            )
+            goal_reward, reached = reward(
+                np.array([index + 1, env, index + 1, episode, 0, 0.0]), goal
+            )
             assert reached == (later == index + 1)
-            penalty = (-20.0 if reward is SPARSE else -5.0) if crashed and collision == "keep" else 0.0
+            penalty = (
+                (-20.0 if reward is SPARSE else -5.0) if crashed and collision == "keep" else 0.0
+            )
             assert batch.rewards[row].item() == np.float32(goal_reward + penalty)
             real_end = index == last and how != "timeout"
             expected = {"sb3": real_end, "goal": reached}.get(terminated, reached or crashed)
@@ -262,7 +311,9 @@ def test_what_every_relabelled_transition_carries(reward, n_envs, offset, veloci
 
 @pytest.mark.parametrize("n_envs", [1, 8])
 def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs, monkeypatch):
-    """Stable-Baselines3's DictReplayBuffer: at every step, also of episodes that are half overwritten."""
+    """Stable-Baselines3's DictReplayBuffer: at every step, also of episodes that are half
+    overwritten.
+    """
     ours = make(size=12 * n_envs, n_envs=n_envs, goal_selection_strategy=None)
     theirs = DictReplayBuffer(12 * n_envs, *SPACES, device="cpu", n_envs=n_envs)
     transitions = Transitions(n_envs)
@@ -270,11 +321,17 @@ def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs, monkeypa
         fill(transitions, 1, ours, theirs)
         index = np.arange(len(ours.episodes))
         row, env = np.divmod(index, n_envs)
-        monkeypatch.setattr(np.random, "randint", lambda *_, env=env, **__: env)  # their draw of the envs
+        monkeypatch.setattr(
+            np.random, "randint", lambda *_, env=env, **__: env
+        )  # their draw of the envs
         assert_equal(batch_of(ours, index), theirs._get_samples(row))
     ours.rng = np.random.default_rng(0)
     batch = ours.sample(20_000)
-    drawn = batch.observations["observation"][:, 1] * 1e6 + batch.actions[:, 0] * 1000 + batch.actions[:, 1]
+    drawn = (
+        batch.observations["observation"][:, 1] * 1e6
+        + batch.actions[:, 0] * 1000
+        + batch.actions[:, 1]
+    )
     _, counts = np.unique(drawn.numpy(), return_counts=True)
     assert len(counts) == 12 * n_envs
     assert stats.chisquare(counts).pvalue > 1e-3
@@ -290,7 +347,10 @@ def through_pickle(buffer, tmp_path):
 
 def through_arrays(buffer, tmp_path):
     np.savez(tmp_path / "buffer.npz", allow_pickle=False, **buffer.get_state())
-    assert sum(array.nbytes for array in buffer.get_state().values()) < 160 * buffer.size() * buffer.n_envs + 4000
+    assert (
+        sum(array.nbytes for array in buffer.get_state().values())
+        < 160 * buffer.size() * buffer.n_envs + 4000
+    )
     size, strategy = buffer.buffer_size * buffer.n_envs, buffer.goal_selection_strategy
     loaded = make(size=size, n_envs=buffer.n_envs, goal_selection_strategy=strategy)
     with np.load(tmp_path / "buffer.npz", allow_pickle=False) as state:
@@ -301,8 +361,13 @@ def through_arrays(buffer, tmp_path):
 @pytest.mark.parametrize("through", [through_pickle, through_arrays])
 @pytest.mark.parametrize("strategy", ["future", "random", None])
 @pytest.mark.parametrize(("n_envs", "steps"), [(1, 39), (1, 335), (8, 90)])
-def test_saved_in_the_middle_of_episodes_it_continues_identically(tmp_path, through, strategy, n_envs, steps):
-    ours, transitions = make(size=100, n_envs=n_envs, goal_selection_strategy=strategy), Transitions(n_envs)
+def test_saved_in_the_middle_of_episodes_it_continues_identically(
+    tmp_path, through, strategy, n_envs, steps
+):
+    ours, transitions = (
+        make(size=100, n_envs=n_envs, goal_selection_strategy=strategy),
+        Transitions(n_envs),
+    )
     fill(transitions, steps, ours)
     assert (ours.episodes.current >= 0).any()
     ours.sample(32)
@@ -328,8 +393,14 @@ def test_truncated_it_is_stable_baselines3s_and_a_reset_forgets_everything():
 
 
 def test_an_env_that_was_reset_silently_starts_another_episode():
-    """As `learn` does when it is called a second time; the old episode is truncated, and no memory is lost."""
-    ours, first, second = make(size=100), Transitions(1, longest=10**9), Transitions(1, longest=10**9)
+    """As `learn` does when it is called a second time; the old episode is truncated, and no memory
+    is lost.
+    """
+    ours, first, second = (
+        make(size=100),
+        Transitions(1, longest=10**9),
+        Transitions(1, longest=10**9),
+    )
     second.episode += 7
     for transitions in (first, second):
         fill(transitions, 5, ours)
@@ -353,13 +424,18 @@ def test_the_number_of_real_transitions_is_rounded_as_in_stable_baselines3():
 
 @pytest.mark.parametrize("at", [0, 57])
 def test_goals_that_change_within_an_episode_and_other_achieved_goals(at):
-    """From such a transition on, everything is stored with each; batches stay Stable-Baselines3's."""
+    """From such a transition on, everything is stored with each; batches stay
+    Stable-Baselines3's.
+    """
     ours, theirs = make(size=100, n_envs=2), make(HerReplayBuffer, 100, 2)
     transitions = Transitions(2)
     for step in range(170):
         obs, next_obs, *rest = next(transitions)
         if step >= at:
-            obs["achieved_goal"], next_obs["desired_goal"] = obs["achieved_goal"] + 0.5, next_obs["desired_goal"] + step
+            obs["achieved_goal"], next_obs["desired_goal"] = (
+                obs["achieved_goal"] + 0.5,
+                next_obs["desired_goal"] + step,
+            )
         assert ours.storage.compact == (step <= at)
         for buffer in (ours, theirs):
             buffer.add(obs, next_obs, *rest)
@@ -371,7 +447,9 @@ def test_goals_that_change_within_an_episode_and_other_achieved_goals(at):
 
 
 def test_another_env_is_asked_for_its_rewards(tmp_path):
-    """Stable-Baselines3's bit flipping, whose achieved goal is not named here, from `learn` to a loaded buffer."""
+    """Stable-Baselines3's bit flipping, whose achieved goal is not named here, from `learn` to a
+    loaded buffer.
+    """
     envs = DummyVecEnv([lambda: BitFlippingEnv(n_bits=4, continuous=True, max_steps=4)] * 2)
     model = SAC(
         "MultiInputPolicy", envs, replay_buffer_class=HerBuffer, learning_starts=20, buffer_size=200, batch_size=64,
@@ -379,7 +457,9 @@ def test_another_env_is_asked_for_its_rewards(tmp_path):
     )  # fmt: skip
     model.learn(100)
     batch = model.replay_buffer.sample(50)
-    reached = (batch.next_observations["achieved_goal"] == batch.observations["desired_goal"]).all(dim=1)
+    reached = (batch.next_observations["achieved_goal"] == batch.observations["desired_goal"]).all(
+        dim=1
+    )
     assert batch.rewards[:, 0].tolist() == [0.0 if r else -1.0 for r in reached]
     assert reached[10:].any()
     model.save_replay_buffer(tmp_path / "buffer")
@@ -390,7 +470,8 @@ def test_another_env_is_asked_for_its_rewards(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("goal_selection_strategy", "past"), ("relabel_collision", "keep"), ("goal_velocity", "zero")]
+    ("name", "value"),
+    [("goal_selection_strategy", "past"), ("relabel_collision", "keep"), ("goal_velocity", "zero")],
 )
 def test_wrong_arguments_are_refused(name, value):
     with pytest.raises(ValueError, match=name):

@@ -61,7 +61,9 @@ def test_a_bad_command_line_gets_a_sentence_and_leaves_nothing_behind(tmp_path, 
 
 @pytest.fixture(scope="module")
 def imported(tmp_path_factory):
-    """Modules imported by each command line, and files in its directory: {command line: (modules, files)}."""
+    """Modules imported by each command line, and files in its directory: {command line: (modules,
+    files)}.
+    """
     command = [sys.executable, "-c", IMPORTS.format(root=str(ROOT)), json.dumps(LIGHT)]
     folder = tmp_path_factory.mktemp("light")
     done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
@@ -75,7 +77,9 @@ def test_help_and_refusals_import_nothing_heavy(imported, name, argument):
     assert imported[name, argument] == ([], [])
 
 
-@pytest.mark.parametrize("name", slow_but(["train"], ["train", "tune", "evaluate", "export", "report", "status"]))
+@pytest.mark.parametrize(
+    "name", slow_but(["train"], ["train", "tune", "evaluate", "export", "report", "status"])
+)
 def test_help_lists_the_options_of_groups_and_examples(name):
     done = call_script(name, "--help")
     assert done.returncode == 0
@@ -91,7 +95,10 @@ def test_help_lists_the_options_of_groups_and_examples(name):
     [
         (["a=1", "--json", "b=2"], (None, False, ["a=1", "json=true", "b=2"])),
         (["a=1", "--config-dir", ".", "b=2", "-m"], (".", True, ["a=1", "b=2"])),
-        (["her_final, n_sampled_goal=8", "-1"], (None, False, ["her_final, n_sampled_goal=8", "-1"])),
+        (
+            ["her_final, n_sampled_goal=8", "-1"],
+            (None, False, ["her_final, n_sampled_goal=8", "-1"]),
+        ),
     ],
 )
 def test_flags_may_be_anywhere_between_the_overrides(words, expected):
@@ -119,22 +126,36 @@ def test_commands_without_seeds_say_so(name):
 def test_a_key_that_is_null_is_one_sentence(tmp_path, key):
     (tmp_path / "mine.yaml").write_text(f"# @package _global_\nexperiment_name: mine\n{key}\n")
     done = call_script("train", "experiment=mine.yaml", cwd=tmp_path)
-    assert done.stderr == "error: a config file has a key that is null or not a word; write it in quotes, as 'null'\n"
+    assert (
+        done.stderr
+        == "error: a config file has a key that is null or not a word; write it in quotes, as 'null'\n"
+    )
 
 
 def test_a_working_directory_that_was_deleted_is_one_sentence(tmp_path):
     command, keywords = script("status", cwd=tmp_path)
     inside = ["bash", "-c", 'mkdir gone && cd gone && rmdir ../gone && exec "$@"', "bash", *command]
     done = subprocess.run(inside, check=False, capture_output=True, **keywords)
-    assert done.stderr == "error: the working directory does not exist any more; change to one that does\n"
+    assert (
+        done.stderr
+        == "error: the working directory does not exist any more; change to one that does\n"
+    )
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
 def test_places_where_no_file_can_be_made_are_refused_in_a_sentence():
-    exported = call_script("export", "run=pretrained", "format=safetensors", "path=/proc/self/x.safetensors")
-    assert exported.stderr == "error: path: /proc/self/x.safetensors cannot be written: No such file or directory\n"
+    exported = call_script(
+        "export", "run=pretrained", "format=safetensors", "path=/proc/self/x.safetensors"
+    )
+    assert (
+        exported.stderr
+        == "error: path: /proc/self/x.safetensors cannot be written: No such file or directory\n"
+    )
     trained = call_script("train", "experiment=smoke", "output_dir=/proc")
-    assert re.fullmatch(r"error: output_dir: /proc/\S+ cannot be written: No such file or directory\n", trained.stderr)
+    assert re.fullmatch(
+        r"error: output_dir: /proc/\S+ cannot be written: No such file or directory\n",
+        trained.stderr,
+    )
 
 
 def test_a_disk_error_is_one_sentence(capsys):
@@ -155,8 +176,18 @@ def test_an_output_directory_that_cannot_be_created_is_one_sentence(tmp_path):
 
 def test_config_dir_adds_options_and_cfg_shows_the_config_and_runs_nothing(tmp_path):
     (tmp_path / "mine" / "env").mkdir(parents=True)
-    (tmp_path / "mine" / "env" / "short.yaml").write_text("defaults: [parking]\nname: short\nduration: 0.2\n")
-    shown = call_script("train", "--config-dir=mine", "env=short", "--cfg", "job", "experiment=tutorial", cwd=tmp_path)
+    (tmp_path / "mine" / "env" / "short.yaml").write_text(
+        "defaults: [parking]\nname: short\nduration: 0.2\n"
+    )
+    shown = call_script(
+        "train",
+        "--config-dir=mine",
+        "env=short",
+        "--cfg",
+        "job",
+        "experiment=tutorial",
+        cwd=tmp_path,
+    )
     assert "name: short\n" in shown.stdout and "total_timesteps: 10000\n" in shown.stdout
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
@@ -169,7 +200,17 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     subprocess.run(build, check=True, capture_output=True, timeout=300)
     (wheel,) = tmp_path.glob("*.whl")
     site = tmp_path / "site"
-    unpack = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel)]
+    unpack = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--target",
+        str(site),
+        str(wheel),
+    ]
     subprocess.run(unpack, check=True, capture_output=True, timeout=300)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -185,7 +226,9 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
         files = {path.name for path in (site / "parking_exp" / "pretrained" / name).iterdir()}
         assert files == {"README.md", "config.yaml", "policy.safetensors"}
     commands = ("evaluate", "export", "report", "status", "train", "tune")
-    assert sorted(path.name for path in (site / "bin").iterdir()) == [f"parking-{name}" for name in commands]
+    assert sorted(path.name for path in (site / "bin").iterdir()) == [
+        f"parking-{name}" for name in commands
+    ]
 
 
 def test_an_editable_install_has_the_console_scripts(tmp_path):
@@ -194,7 +237,9 @@ def test_an_editable_install_has_the_console_scripts(tmp_path):
     assert done.stderr == "error: sead: there is no such key; did you mean 'seed'?\n"
 
 
-def test_the_help_of_an_installed_command_names_it_and_where_its_keys_are_explained(monkeypatch, capsys):
+def test_the_help_of_an_installed_command_names_it_and_where_its_keys_are_explained(
+    monkeypatch, capsys
+):
     monkeypatch.setattr(sys, "argv", ["/somewhere/bin/parking-status", "--help"])
     with contextlib.suppress(SystemExit):
         status.main()

@@ -1,4 +1,6 @@
-"""A terminal that goes away, a closed pipe, a full disk under a log: output is lost, and nothing else."""
+"""A terminal that goes away, a closed pipe, a full disk under a log: output is lost, and nothing
+else.
+"""
 
 import json
 import os
@@ -20,7 +22,9 @@ ONE_LINE = "2>&1 | head -1"
 
 
 def shell(name, *arguments, redirected, cwd=None):
-    """Run a script with its output redirected by a shell; return its exit status, output and errors."""
+    """Run a script with its output redirected by a shell; return its exit status, output and
+    errors.
+    """
     command, keywords = script(name, *arguments, cwd=cwd)
     line = f'"$@" {redirected}; exit ${{PIPESTATUS[0]}}'
     whole = ["bash", "-c", line, "bash", *command]
@@ -50,7 +54,9 @@ def test_a_training_whose_output_is_lost_is_done(tmp_path, redirected, seeds):
 def test_a_training_goes_on_after_its_terminal_is_gone(tmp_path):
     master, terminal = os.openpty()
     command, keywords = script("train", *QUICK, f"output_dir={tmp_path}")
-    process = subprocess.Popen(command, stdin=terminal, stdout=terminal, stderr=terminal, **keywords)
+    process = subprocess.Popen(
+        command, stdin=terminal, stdout=terminal, stderr=terminal, **keywords
+    )
     os.close(terminal)
     os.read(master, 1)
     os.close(master)  # writes fail with EIO from now on

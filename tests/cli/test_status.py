@@ -20,7 +20,9 @@ from parking_exp.tuning.study import storage_of
 def run_dir(output_dir, cell="cell-a", seed=0, **status):
     path = output_dir / "mine" / cell / f"seed={seed}"
     path.mkdir(parents=True)
-    (path / "status.json").write_text(json.dumps({"total_timesteps": 1000, "label": cell[-1], **status}))
+    (path / "status.json").write_text(
+        json.dumps({"total_timesteps": 1000, "label": cell[-1], **status})
+    )
     return path
 
 
@@ -32,7 +34,11 @@ def test_the_stage_follows_from_status_lock_and_heartbeat(tmp_path):
     running = run_dir(tmp_path, seed=3, status="running", host="here", started=now)
     (cut_off / "checkpoints" / "step=0000000300").mkdir(parents=True)
     RunDirectory(running).heartbeat(step=400, steps_per_s=20.0, doing="train")
-    assert (read_state(done).stage, read_state(done).success_rate, read_state(done).wall_s) == ("done", 0.9, 12.0)
+    assert (read_state(done).stage, read_state(done).success_rate, read_state(done).wall_s) == (
+        "done",
+        0.9,
+        12.0,
+    )
     assert (read_state(failed).stage, read_state(failed).reason) == ("failed", "ValueError: x")
     assert (read_state(cut_off).stage, read_state(cut_off).step) == ("pending", 300)
     assert read_state(running).stage == "pending"  # nobody is at it
@@ -42,7 +48,10 @@ def test_the_stage_follows_from_status_lock_and_heartbeat(tmp_path):
         restarted = read_state(running)
     progress = (state.step, state.steps_per_s, state.left_s, state.host)
     assert (state.stage, *progress) == ("running", 400, 20.0, 30.0, "here")
-    assert (restarted.step, restarted.doing) == (0, "starting")  # the heartbeat is an earlier process's
+    assert (restarted.step, restarted.doing) == (
+        0,
+        "starting",
+    )  # the heartbeat is an earlier process's
     assert read_state(tmp_path / "mine" / "cell-b" / "seed=7").stage == "pending"
 
 
@@ -59,14 +68,25 @@ def test_a_damaged_status_affects_only_its_run(tmp_path):
     for number, content in enumerate([json.dumps(WRONG), "{", "[]", "[" * 100_000, nan, "\xff"]):
         path = run_dir(tmp_path, "cell-b", number)
         (path / "status.json").write_bytes(content.encode("latin-1"))
-        (path / "beat.json").write_text(json.dumps({"time": "x", "step": [], "steps_per_s": {}, "doing": 1}))
+        (path / "beat.json").write_text(
+            json.dumps({"time": "x", "step": [], "steps_per_s": {}, "doing": 1})
+        )
     shown = call_script("status", f"output_dir={tmp_path}")
     assert shown.returncode == 0, shown.stderr
     lines = shown.stdout.splitlines()
-    assert [line.split() for line in lines[1:4]] == [["a", "1", "50%"], ["cell-b", "6"], ["all", "1", "6"]]
-    assert [line.split()[:3] for line in lines[4:]] == [["damaged", "cell-b", f"seed={n}:"] for n in range(6)]
+    assert [line.split() for line in lines[1:4]] == [
+        ["a", "1", "50%"],
+        ["cell-b", "6"],
+        ["all", "1", "6"],
+    ]
+    assert [line.split()[:3] for line in lines[4:]] == [
+        ["damaged", "cell-b", f"seed={n}:"] for n in range(6)
+    ]
     plain = json.loads(call_script("status", f"output_dir={tmp_path}", "--json").stdout)
-    assert [run["damaged"] for cell in plain["cells"] for run in cell["runs"]] == [False, *6 * [True]]
+    assert [run["damaged"] for cell in plain["cells"] for run in cell["runs"]] == [
+        False,
+        *6 * [True],
+    ]
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
     with process.supervisor_lock():
         assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
@@ -77,7 +97,9 @@ def test_a_damaged_status_affects_only_its_run(tmp_path):
 def test_control_characters_of_a_foreign_run_are_escaped(tmp_path):
     evil = "x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
     run_dir(tmp_path, "cell-\x1b[2J", 0, status="failed", error=evil, label=evil, host=evil)
-    held = RunDirectory(run_dir(tmp_path, "cell-b", 1, status="running", host=evil, started=time.time() - 1))
+    held = RunDirectory(
+        run_dir(tmp_path, "cell-b", 1, status="running", host=evil, started=time.time() - 1)
+    )
     with held.supervisor_lock():
         held.heartbeat(step=1, steps_per_s=0.0, doing=evil)
         shown = call_script("status", f"output_dir={tmp_path}")
@@ -85,7 +107,10 @@ def test_control_characters_of_a_foreign_run_are_escaped(tmp_path):
     assert shown.returncode == plain.returncode == 0
     escaped = r"x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
     assert all(line.isprintable() for line in shown.stdout.split("\n"))
-    assert f"failed   “{escaped}” seed=0: {escaped}   {tmp_path}/mine/cell-\\x1b[2J/seed=0\n" in shown.stdout
+    assert (
+        f"failed   “{escaped}” seed=0: {escaped}   {tmp_path}/mine/cell-\\x1b[2J/seed=0\n"
+        in shown.stdout
+    )
     assert f"running  b seed=1: 1 of 1000 steps, {escaped}   {escaped}\n" in shown.stdout
     assert plain.stdout.isascii()
     assert "\x7f" not in plain.stdout
@@ -96,7 +121,9 @@ def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
     run_dir(tmp_path, "cell-a", 0, status="done", success_rate=1.0)
     run_dir(tmp_path, "cell-a", 1, status="done", success_rate=0.5)
     failed = run_dir(tmp_path, "cell-b", 0, status="failed", error="killed by SIGKILL", killed=True)
-    (run_dir(tmp_path, "cell-b", 1, status="interrupted") / "checkpoints" / "step=300").mkdir(parents=True)
+    (run_dir(tmp_path, "cell-b", 1, status="interrupted") / "checkpoints" / "step=300").mkdir(
+        parents=True
+    )
     shown = call_script("status", f"output_dir={tmp_path}", "experiment=mine")
     assert [line.split() for line in shown.stdout.splitlines()] == [
         ["cell", "done", "running", "failed", "pending", "success"],
@@ -118,7 +145,10 @@ def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
     [
         ((), "error: there are no runs in "),
         (("experiment=mini",), "error: experiment=mini: it has no runs in "),
-        (("experment=mine",), "error: experment: there is no such key; did you mean 'experiment_name'?"),
+        (
+            ("experment=mine",),
+            "error: experment: there is no such key; did you mean 'experiment_name'?",
+        ),
     ],
 )
 def test_status_refuses_in_one_sentence(tmp_path, arguments, message):
@@ -136,12 +166,17 @@ def test_a_running_run_shows_step_rate_time_left_and_host(smoke, tmp_path):
     with run.supervisor_lock():
         run.heartbeat(step=400, steps_per_s=20.0, doing="train")
         shown = call_script("status", f"output_dir={tmp_path}").stdout
-    assert shown.splitlines()[-1] == "running  a seed=0: 400 of 1000 steps, 20 steps/s, 30 s left   here"
+    assert (
+        shown.splitlines()[-1]
+        == "running  a seed=0: 400 of 1000 steps, 20 steps/s, 30 s left   here"
+    )
 
 
 def search_in(folder, **stored):
     """Write a search whose study has one trial."""
-    study = optuna.create_study(study_name=folder.name, storage=storage_of(folder), direction="maximize")
+    study = optuna.create_study(
+        study_name=folder.name, storage=storage_of(folder), direction="maximize"
+    )
     study.add_trial(optuna.trial.create_trial(value=0.5))
     write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, **stored})
     return study
@@ -156,7 +191,9 @@ def search_in(folder, **stored):
 )
 def test_a_damaged_search_is_shown_beside_the_runs(tmp_path, stored, attributes, problem):
     folder = run_dir(tmp_path, status="done").parents[1]
-    search_in(folder, **stored).add_trial(optuna.trial.create_trial(value=0.5, user_attrs=attributes))
+    search_in(folder, **stored).add_trial(
+        optuna.trial.create_trial(value=0.5, user_attrs=attributes)
+    )
     lines = call_script("status", f"output_dir={tmp_path}").stdout.splitlines()
     assert lines[1].split() == ["a", "1"]
     assert lines[-1].startswith("search mine: ")
@@ -227,7 +264,9 @@ def test_prune_marks_planned_runs_as_deleted_in_the_store(output_dir):
     directory = RunDirectory(run.path)
     directory.write_plan(run.config, run.label, None)
     assert call_script("status", f"output_dir={output_dir}", "sync=true").returncode == 0
-    assert [stored.info.run_id for stored in store(output_dir).search_runs(["1"])] == [directory.run_id]
+    assert [stored.info.run_id for stored in store(output_dir).search_runs(["1"])] == [
+        directory.run_id
+    ]
     assert call_script("status", f"output_dir={output_dir}", "prune=pending").returncode == 0
     assert store(output_dir).search_runs(["1"]) == []
     assert not run.path.exists()

@@ -1,4 +1,6 @@
-"""A stored config may come from elsewhere: no class outside the allow-list is executed unless the user trusts it."""
+"""A stored config may come from elsewhere: no class outside the allow-list is executed unless the
+user trusts it.
+"""
 
 import re
 import shutil
@@ -19,7 +21,9 @@ ACTIVATION = "algorithm.policy_kwargs.activation_fn"
 
 @pytest.fixture
 def foreign_run(smoke, tmp_path):
-    """A function that writes a run directory with an entry of its config changed, and returns it."""
+    """A function that writes a run directory with an entry of its config changed, and returns
+    it.
+    """
     directory = tmp_path / "run"
     (directory / "models").mkdir(parents=True)
     for name in ("config.yaml", "status.json", "models/final.zip"):
@@ -36,7 +40,9 @@ def foreign_run(smoke, tmp_path):
 
 @pytest.fixture
 def hostile(tmp_path, monkeypatch):
-    """The file that module `hostile` touches when it is imported, and when its function is called."""
+    """The file that module `hostile` touches when it is imported, and when its function is
+    called.
+    """
     (tmp_path / "hostile.py").write_text(SIDE_EFFECT.format(path=str(tmp_path / "touched")))
     monkeypatch.syspath_prepend(tmp_path)
     return tmp_path / "touched"
@@ -44,7 +50,9 @@ def hostile(tmp_path, monkeypatch):
 
 def test_evaluating_a_foreign_run_refuses_its_class_until_the_user_trusts_it(foreign_run, hostile):
     directory = foreign_run("algorithm.learning_rate._target_", "hostile.make")
-    with pytest.raises(UntrustedError, match=r"^algorithm\.learning_rate\._target_=hostile\.make.*trust=true"):
+    with pytest.raises(
+        UntrustedError, match=r"^algorithm\.learning_rate\._target_=hostile\.make.*trust=true"
+    ):
         evaluate_stored(directory)
     assert not hostile.exists()
     with pytest.raises(Exception, match=r"hostile\.make"):
@@ -61,7 +69,9 @@ def test_evaluating_a_foreign_run_refuses_its_class_until_the_user_trusts_it(for
         ({"kwargs": {"xml_file": "/etc/passwd"}}, "env.kwargs.xml_file=/etc/passwd"),
     ],
 )
-def test_an_environment_imports_and_opens_nothing_until_the_user_trusts_it(foreign_run, hostile, changes, named):
+def test_an_environment_imports_and_opens_nothing_until_the_user_trusts_it(
+    foreign_run, hostile, changes, named
+):
     env = OmegaConf.to_container(OmegaConf.load(ROOT / "conf/env/gymnasium.yaml").env)
     directory = foreign_run("env", {**env, "id": "highway-v0", **changes})
     with pytest.raises(UntrustedError, match=rf"^{re.escape(named)}.*trust=true"):
@@ -85,7 +95,9 @@ def test_an_environment_imports_and_opens_nothing_until_the_user_trusts_it(forei
         (ACTIVATION, {"_target_": "hydra.utils.get_method", "_args_": ["hostile.make"]}, f"{ACTIVATION}._target_"),
     ],
 )  # fmt: skip
-def test_a_class_outside_the_allowlist_is_refused_without_importing_it(foreign_run, hostile, key, value, named):
+def test_a_class_outside_the_allowlist_is_refused_without_importing_it(
+    foreign_run, hostile, key, value, named
+):
     path = foreign_run(key, value) / "config.yaml"
     config = read_config(path.parent, path.parent)
     with pytest.raises(UntrustedError) as refusal:

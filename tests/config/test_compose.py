@@ -1,4 +1,6 @@
-"""Tests of composing: options, overrides in Hydra's grammar, and what is refused before any value is checked."""
+"""Tests of composing: options, overrides in Hydra's grammar, and what is refused before any value
+is checked.
+"""
 
 import re
 from pathlib import Path
@@ -20,14 +22,20 @@ from parking_exp.errors import ConfigError
 @pytest.mark.parametrize(
     ("group", "option"),
     [
-        pytest.param(group, option, marks=pytest.mark.slow if option in ("her_ablation", "her_relabelling") else ())
+        pytest.param(
+            group,
+            option,
+            marks=pytest.mark.slow if option in ("her_ablation", "her_relabelling") else (),
+        )
         for group in GROUPS
         for option in options(group)
     ],
 )
 def test_every_option_of_every_group_composes_validates_and_is_trusted(group, option):
     needed = ["env.id=FetchReach-v4"] if option == "gymnasium" else []
-    for config in validate_all(compose_configs("config", [f"{group}={option}", "seeds=1", *needed])):
+    for config in validate_all(
+        compose_configs("config", [f"{group}={option}", "seeds=1", *needed])
+    ):
         check_trust(config, Path("config.yaml"))  # raises for a class outside the allow-list
         if group in ("env", "algorithm", "buffer"):
             assert getattr(config, group).name == option
@@ -43,7 +51,10 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("experiment=tutorail", "'tutorial'"),
         ("algorithm.policy_kwargs.n_critics=3", "++algorithm.policy_kwargs.n_critics="),
         ("algorithm.learning_rate.ende=1e-4", "'end'"),
-        ("algorithm.verbosity=1", "algorithm.verbosity: there is no such key in algorithm=sac; choose from"),
+        (
+            "algorithm.verbosity=1",
+            "algorithm.verbosity: there is no such key in algorithm=sac; choose from",
+        ),
         ("tracking.mlfow=true", "'mlflow'"),
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs"),
         ("hydra.launcher.n_job=2", "'n_jobs'"),
@@ -84,8 +95,16 @@ def test_missing_values_and_broken_interpolations_name_their_key(override):
     "lines",
     [
         ["experiment=smoke", "seed=1", "output_dir='/a b'"],
-        ["algorithm=td3", "+algorithm.policy_kwargs.n_critics=3", "~buffer.n_sampled_goal", "++algorithm.new=[1,2]"],
-        ["algorithm.learning_rate={_target_: a.b, end: 1}", "tracking={csv: false, log_interval: 3}"],
+        [
+            "algorithm=td3",
+            "+algorithm.policy_kwargs.n_critics=3",
+            "~buffer.n_sampled_goal",
+            "++algorithm.new=[1,2]",
+        ],
+        [
+            "algorithm.learning_rate={_target_: a.b, end: 1}",
+            "tracking={csv: false, log_interval: 3}",
+        ],
         ["algorithm.gamma=1", "algorithm.gamma=0.5", "experiment_name=${algorithm.name}"],
     ],
 )
@@ -112,8 +131,12 @@ def test_paths_that_hydras_grammar_cannot_parse_are_quoted(argument, expected):
 def test_a_users_own_options_apply_to_that_call_only(tmp_path):
     (tmp_path / "evaluation").mkdir()
     for value in (50, 51):
-        (tmp_path / "evaluation" / "long.yaml").write_text(f"defaults: [default]\nn_scenes: {value}\n")
-        (config,) = compose_configs("config", ["evaluation=long", "evaluation.first_scene=7"], str(tmp_path))
+        (tmp_path / "evaluation" / "long.yaml").write_text(
+            f"defaults: [default]\nn_scenes: {value}\n"
+        )
+        (config,) = compose_configs(
+            "config", ["evaluation=long", "evaluation.first_scene=7"], str(tmp_path)
+        )
         assert (config.evaluation.n_scenes, config.evaluation.first_scene) == (value, 7)
     with pytest.raises(ConfigError, match=r"^evaluation=long"):
         compose_configs("config", ["evaluation=long"])
@@ -122,7 +145,9 @@ def test_a_users_own_options_apply_to_that_call_only(tmp_path):
 def test_an_experiment_file_may_be_anywhere(tmp_path):
     path = tmp_path / 'it\'s "a b"' / "own=1.yaml"
     path.parent.mkdir()
-    path.write_text("# @package _global_\ndefaults:\n  - override /algorithm: sac\nexperiment_name: own\nn_envs: 2\n")
+    path.write_text(
+        "# @package _global_\ndefaults:\n  - override /algorithm: sac\nexperiment_name: own\nn_envs: 2\n"
+    )
     line = f"experiment={path}"
     config = make_config(line, "n_envs=4")
     assert (config.experiment_name, config.algorithm.name, config.n_envs) == ("own", "sac", 4)
@@ -151,7 +176,9 @@ def test_contrasts_are_text_as_they_were_typed():
     assert validate(config).contrasts == [["0.10", "1e-3"], ["a", "b, c"]]
 
 
-def test_labels_of_an_experiment_file_are_text_and_one_that_yaml_reads_as_a_number_is_refused(tmp_path):
+def test_labels_of_an_experiment_file_are_text_and_one_that_yaml_reads_as_a_number_is_refused(
+    tmp_path,
+):
     path = tmp_path / "mine.yaml"
     cells = "cells:\n  - {label: '0.10', algorithm.gamma: 0.9}\n  - {label: '1e-3'}\n"
     path.write_text(f"# @package _global_\n{cells}contrasts: [['0.10', '1e-3']]\n")
@@ -165,7 +192,9 @@ def test_labels_of_an_experiment_file_are_text_and_one_that_yaml_reads_as_a_numb
 
 
 @pytest.mark.parametrize("as_path", [True, False])
-def test_the_launcher_of_an_experiment_file_is_used_unless_the_command_line_names_one(tmp_path, as_path):
+def test_the_launcher_of_an_experiment_file_is_used_unless_the_command_line_names_one(
+    tmp_path, as_path
+):
     path = tmp_path / "experiment" / "on_a_cluster.yaml"
     path.parent.mkdir()
     path.write_text(
@@ -187,9 +216,18 @@ def test_the_launcher_of_an_experiment_file_is_used_unless_the_command_line_name
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ("sweeper: {params: {seed: '1,2'}}", "hydra.sweeper.params.seed=1,2 has no effect; list the values"),
-        ("job: {chdir: true}", "hydra.job.chdir=True has no effect; start the command in that directory"),
-        ("job: {env_set: {X: 1}}", "hydra.job.env_set.X=1 has no effect; set environment variables"),
+        (
+            "sweeper: {params: {seed: '1,2'}}",
+            "hydra.sweeper.params.seed=1,2 has no effect; list the values",
+        ),
+        (
+            "job: {chdir: true}",
+            "hydra.job.chdir=True has no effect; start the command in that directory",
+        ),
+        (
+            "job: {env_set: {X: 1}}",
+            "hydra.job.env_set.X=1 has no effect; set environment variables",
+        ),
         ("run: {dir: elsewhere}", "hydra.run.dir=elsewhere has no effect; set output_dir=DIR"),
     ],
 )
@@ -202,7 +240,9 @@ def test_other_settings_of_hydra_in_a_file_are_refused(tmp_path, settings, words
 
 @pytest.mark.parametrize("name", ["evaluate", "export", "report", "status"])
 def test_a_launcher_is_refused_by_commands_that_launch_nothing(name):
-    with pytest.raises(ConfigError, match=r"^hydra/launcher=slurm has no effect; this command launches no runs"):
+    with pytest.raises(
+        ConfigError, match=r"^hydra/launcher=slurm has no effect; this command launches no runs"
+    ):
         compose_configs(name, ["hydra/launcher=slurm"])
 
 
@@ -240,12 +280,18 @@ def test_compose_takes_a_directory_of_the_users_own_options(tmp_path):
     [
         (["evaluation.n_scenes=5,10", "total_timesteps=7"], "evaluation.n_scenes", [5, 10]),
         (["tracking={csv: false},{csv: true}"], "tracking.csv", [False, True]),
-        (["buffer=glob(her_*)"], "buffer.name", ["her_episode", "her_final", "her_future", "her_random"]),
+        (
+            ["buffer=glob(her_*)"],
+            "buffer.name",
+            ["her_episode", "her_final", "her_future", "her_random"],
+        ),
         (["seed=0,1", "buffer=her_future,replay"], "seed", [0, 0, 1, 1]),
     ],
 )
 def test_a_sweep_is_the_product_of_values_in_hydras_grammar(overrides, key, values):
-    assert [OmegaConf.select(config, key) for config in compose_configs("config", overrides)] == values
+    assert [
+        OmegaConf.select(config, key) for config in compose_configs("config", overrides)
+    ] == values
 
 
 def test_composing_leaves_an_outer_hydra_as_it_was():

@@ -34,7 +34,9 @@ def test_a_uri_that_may_contain_a_secret_is_refused_without_showing_it(uri, tmp_
     with pytest.raises(ConfigError, match="set it in the environment") as refusal:
         refuse_password(uri)
     assert "s3cret" not in str(refusal.value)
-    done = call_script("train", "experiment=smoke", f"tracking.uri='{uri}'", f"output_dir={tmp_path / 'outputs'}")
+    done = call_script(
+        "train", "experiment=smoke", f"tracking.uri='{uri}'", f"output_dir={tmp_path / 'outputs'}"
+    )
     assert done.returncode == 2
     assert done.stderr.startswith("error: tracking.uri: the URI contains ")
     assert list(tmp_path.iterdir()) == []
@@ -65,5 +67,8 @@ def test_a_path_with_a_question_mark_is_refused_before_anything_is_written(tmp_p
     folder.mkdir()
     done = call_script("train", "experiment=smoke", argument, cwd=folder)
     assert done.returncode == 2
-    assert "has a question mark, at which the URI of a sqlite store ends; choose another path" in done.stderr
+    assert (
+        "has a question mark, at which the URI of a sqlite store ends; choose another path"
+        in done.stderr
+    )
     assert [path.name for path in tmp_path.rglob("*")] == ["que?ue"]

@@ -20,7 +20,10 @@ def test_parking_has_highway_envs_own_options_and_values():
     ours = make_config("env=parking").env.highway_options()
     theirs = ParkingEnv.default_config()
     extra = {"longitudinal": True, "lateral": True, "dynamical": False, "clip": True}
-    assert (theirs.pop("controlled_vehicles"), theirs.pop("manual_control")) == (1, False)  # no choice here
+    assert (theirs.pop("controlled_vehicles"), theirs.pop("manual_control")) == (
+        1,
+        False,
+    )  # no choice here
     assert ours.pop("action") == {**theirs.pop("action"), **extra}
     assert ours == theirs
 
@@ -29,14 +32,22 @@ def test_training_keys_change_training_envs_only():
     env = make_config("env.training_duration=2", "env.training_success_goal_reward=0.05").env
     own = env.highway_options()
     assert (own["duration"], own["success_goal_reward"]) == (100, 0.12)
-    assert env.for_training().highway_options() == own | {"duration": 2, "success_goal_reward": 0.05}
+    assert env.for_training().highway_options() == own | {
+        "duration": 2,
+        "success_goal_reward": 0.05,
+    }
     same = ("env.training_duration=null", "env.training_success_goal_reward=null", "n_envs=8")
     assert make_config(*same).env.for_training().highway_options() == own
 
 
 @pytest.mark.parametrize(
     ("option", "steps"),
-    [("parking", 500), ("parking_sparse", 500), ("parking_action_repeat", 20), ("parking_2021", 100)],
+    [
+        ("parking", 500),
+        ("parking_sparse", 500),
+        ("parking_action_repeat", 20),
+        ("parking_2021", 100),
+    ],
 )
 def test_longest_episode_counts_time_as_highway_env_does(option, steps):
     assert make_config(f"env={option}").env.episode_steps() == steps
@@ -47,7 +58,9 @@ def test_longest_episode_counts_time_as_highway_env_does(option, steps):
     [(1.0, 8, (1, 8)), (0.125, 8, (1, 1)), (0.125, 1, (8, 1)), (0.3, 1, (10, 3))],
 )
 def test_update_rounds_keep_updates_per_step_for_any_n_envs(updates_per_step, n_envs, expected):
-    config = make_config().model_copy(update={"updates_per_step": updates_per_step, "n_envs": n_envs})
+    config = make_config().model_copy(
+        update={"updates_per_step": updates_per_step, "n_envs": n_envs}
+    )
     assert config.update_rounds() == expected
     train_freq, gradient_steps = expected
     assert gradient_steps / (train_freq * n_envs) == pytest.approx(updates_per_step)
@@ -56,7 +69,10 @@ def test_update_rounds_keep_updates_per_step_for_any_n_envs(updates_per_step, n_
 @pytest.mark.parametrize(
     ("overrides", "rounds"),
     [
-        (("algorithm.train_freq=[1,episode]", "n_envs=1", "updates_per_step=1"), ((1, "episode"), -1)),
+        (
+            ("algorithm.train_freq=[1,episode]", "n_envs=1", "updates_per_step=1"),
+            ((1, "episode"), -1),
+        ),
         (("algorithm.train_freq=4",), (4, 32)),
         (("algorithm.train_freq=[4,step]",), (4, 32)),
         (("algorithm.train_freq=4", "n_envs=8"), (4, 1)),
@@ -78,10 +94,18 @@ def test_train_freq_and_gradient_steps_can_be_set_by_hand(overrides, rounds):
         (("algorithm.train_freq=[1,step]", "n_envs=8"), "set updates_per_step=0.125,"),
         (("algorithm.gradient_steps=2",), "set updates_per_step=0.0078125,"),
         (("algorithm.gradient_steps=-1",), "set updates_per_step=1.0,"),
-        (("algorithm.train_freq=4", "algorithm.gradient_steps=4", "n_envs=8"), "set updates_per_step=0.125,"),
+        (
+            ("algorithm.train_freq=4", "algorithm.gradient_steps=4", "n_envs=8"),
+            "set updates_per_step=0.125,",
+        ),
         (("algorithm.train_freq=[1,episode]", "n_envs=1"), "set updates_per_step=1,"),
         (
-            ("algorithm.train_freq=[1,episode]", "n_envs=1", "updates_per_step=1", "algorithm.gradient_steps=40"),
+            (
+                "algorithm.train_freq=[1,episode]",
+                "n_envs=1",
+                "updates_per_step=1",
+                "algorithm.gradient_steps=40",
+            ),
             "leave gradient_steps null",
         ),
         (("updates_per_step=0.123456", "n_envs=8"), "try updates_per_step=0.1234567"),
@@ -126,17 +150,31 @@ def test_envs_few_has_the_values_of_the_measured_cell_and_composes_with_algorith
 @pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg"])
 def test_the_tiny_budget_has_a_recipe_for_parking_that_the_command_line_overrides(algorithm):
     config = make_config("budget=tiny", f"algorithm={algorithm}")
-    assert (config.total_timesteps, config.n_envs, config.algorithm.arguments["tau"]) == (43_000, 128, 0.14)
+    assert (config.total_timesteps, config.n_envs, config.algorithm.arguments["tau"]) == (
+        43_000,
+        128,
+        0.14,
+    )
     assert update_ratio_warning(config) is None
-    changed = make_config("budget=tiny", f"algorithm={algorithm}", "algorithm.tau=0.01", "total_timesteps=50000")
-    assert (changed.total_timesteps, changed.n_envs, changed.algorithm.arguments["tau"]) == (50_000, 128, 0.01)
+    changed = make_config(
+        "budget=tiny", f"algorithm={algorithm}", "algorithm.tau=0.01", "total_timesteps=50000"
+    )
+    assert (changed.total_timesteps, changed.n_envs, changed.algorithm.arguments["tau"]) == (
+        50_000,
+        128,
+        0.01,
+    )
 
 
 @pytest.mark.parametrize(
     "other",
     [
         *(["algorithm=tqc"], ["algorithm=crossq"], ["env=parking_stop"]),
-        *(["env=point_maze"], ["env=point_maze", "algorithm=sac"], ["env=gymnasium", "env.id=FetchReach-v4"]),
+        *(
+            ["env=point_maze"],
+            ["env=point_maze", "algorithm=sac"],
+            ["env=gymnasium", "env.id=FetchReach-v4"],
+        ),
     ],
 )
 def test_the_tiny_budget_keeps_the_hyperparameters_of_other_tasks_and_algorithms(other):
@@ -177,7 +215,9 @@ def test_the_run_key_changes_with_what_can_change_results(override, changes):
     assert changes_results(override.partition("=")[0]) is changes
 
 
-@pytest.mark.parametrize("override", ["evaluation.final_n_scenes=600", "evaluation.n_certified_scenes=3"])
+@pytest.mark.parametrize(
+    "override", ["evaluation.final_n_scenes=600", "evaluation.n_certified_scenes=3"]
+)
 def test_the_final_evaluation_is_not_part_of_the_run_key(override):
     assert make_config(override).run_key == make_config().run_key
 

@@ -14,7 +14,11 @@ from parking_exp.errors import ConfigError
 
 DELETED = object()
 DEFAULT_OPTIONS = {}
-NOISE = {"_target_": "stable_baselines3.common.noise.NormalActionNoise", "mean": [0, 0], "sigma": [1, 1]}
+NOISE = {
+    "_target_": "stable_baselines3.common.noise.NormalActionNoise",
+    "mean": [0, 0],
+    "sigma": [1, 1],
+}
 POLICY = "algorithm.policy_kwargs"
 
 
@@ -60,7 +64,10 @@ def refusal(plain):
         ("env.other_vehicles_type", "nowhere.Car", "IDMVehicle"),
         ("env.action.speed_range", [5, -5], ""),
         ("env.action.dynamical", True, "False"),
-        *(("env.vehicles_count", value, "from 0 to 26, or") for value in (27, [3], [5, 2], [0, 27], True, "many")),
+        *(
+            ("env.vehicles_count", value, "from 0 to 26, or")
+            for value in (27, [3], [5, 2], [0, 27], True, "many")
+        ),
         ("env.observation.scales", [1], "[100, 100, 5, 5, 1, 1]"),
         ("algorithm.gamma", 1.5, "1"),
         ("algorithm.learning_rate.start", -1, ""),
@@ -82,7 +89,11 @@ def refusal(plain):
         ("experiment_name", 0.1, "in quotes"),
         ("contrasts", [[0.1, "a"]], "in quotes"),
         ("buffer._target_", "stable_baselines3.SAC", "ReplayBuffer"),
-        ("buffer._target_", "stable_baselines3.common.buffers.NStepReplayBuffer", "DictReplayBuffer"),
+        (
+            "buffer._target_",
+            "stable_baselines3.common.buffers.NStepReplayBuffer",
+            "DictReplayBuffer",
+        ),
         ("buffer._target_", "stable_baselines3.common.buffers.ReplayBuffer", "DictReplayBuffer"),
         ("buffer.buffer_size", 800, "26112"),
         ("buffer.goal_selection_strategy", ["future"], "future"),
@@ -91,10 +102,18 @@ def refusal(plain):
         (f"{POLICY}.use_sde", True, "set by the run"),
         (f"{POLICY}.net_arch", [5], "algorithm.net_arch"),
         (f"{POLICY}.optimizer_kwargs.weight_decy", 0.1, "'weight_decay'"),
-        (f"{POLICY}.features_extractor_class", "parking_exp.tasks.parking.features.EgoFrameExtractor", "features=raw"),
+        (
+            f"{POLICY}.features_extractor_class",
+            "parking_exp.tasks.parking.features.EgoFrameExtractor",
+            "features=raw",
+        ),
         (f"{POLICY}.activation_fn", "torch.nn.Tan", "no attribute 'Tan'"),
         (f"{POLICY}.activation_fn", "torch.optim.Adam", "torch.nn.Module"),
-        (f"{POLICY}.activation_fn", {"_target_": "torch.nn.LeakyReLU", "negative_slop": 0.2}, "'negative_slope'"),
+        (
+            f"{POLICY}.activation_fn",
+            {"_target_": "torch.nn.LeakyReLU", "negative_slop": 0.2},
+            "'negative_slope'",
+        ),
     ],
 )
 def test_a_wrong_value_is_refused_in_a_sentence_that_names_its_key(key, value, hint):
@@ -128,7 +147,10 @@ def test_features_that_a_policy_would_ignore_are_refused():
         {"tracking.uri": "http://localhost:5000"},
         {"tracking.uri": "postgresql+psycopg2://me@host/mlflow"},
         {"algorithm.learning_starts": 25856, "buffer.buffer_size": 26112, "total_timesteps": 25857},
-        {f"{POLICY}.optimizer_class": "torch.optim.SGD", f"{POLICY}.optimizer_kwargs.weight_decay": 0.1},
+        {
+            f"{POLICY}.optimizer_class": "torch.optim.SGD",
+            f"{POLICY}.optimizer_kwargs.weight_decay": 0.1,
+        },
         {f"{POLICY}.activation_fn": {"_target_": "torch.nn.LeakyReLU", "negative_slope": 0.2}},
         {f"{POLICY}.n_critics": 3, f"{POLICY}.net_arch": {"pi": [8], "qf": [9]}},
     ],
@@ -139,7 +161,13 @@ def test_suggested_values_and_nested_arguments_are_accepted(values):
 
 def keys(node, path=()):
     """Paths of all keys and list entries of a plain config."""
-    for name, value in node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ():
+    for name, value in (
+        node.items()
+        if isinstance(node, dict)
+        else enumerate(node)
+        if isinstance(node, list)
+        else ()
+    ):
         yield (*path, name)
         yield from keys(value, (*path, name))
 
@@ -200,4 +228,6 @@ def test_our_own_keys_of_all_cells_are_checked_before_any_class_is_imported(tmp_
     (tmp_path / "never_imported.py").write_text("raise SystemExit\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigError, match=r"^n_envs=0"):
-        validate_all(compose_configs("config", ["algorithm._target_=never_imported.X", "n_envs=256,0"]))
+        validate_all(
+            compose_configs("config", ["algorithm._target_=never_imported.X", "n_envs=256,0"])
+        )

@@ -14,28 +14,47 @@ from support.marks import slow_but
 from support.runs import ROOT, call_script
 from support.store_factory import make_store
 
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "CHANGELOG.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 EXTENDING = ROOT / "docs" / "extending.md"
-LARGE = re.compile(r"train\.py.* experiment=(her|algorithms|variants|goal_tasks)|tune\.py search=recipe (?!.*dry_run)")
+LARGE = re.compile(
+    r"train\.py.* experiment=(her|algorithms|variants|goal_tasks)|tune\.py search=recipe (?!.*dry_run)"
+)
 FENCE = re.compile(r"^```(\w*)(?: title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 def blocks(page, language):
     """Return the fenced blocks of a page: (title, text)."""
-    return [(title, text) for name, title, text in FENCE.findall(page.read_text()) if name == language]
+    return [
+        (title, text) for name, title, text in FENCE.findall(page.read_text()) if name == language
+    ]
 
 
 def commands(*pages):
-    """Return the commands of pages that run one of our scripts, without the prefix `python scripts/`."""
+    """Return the commands of pages that run one of our scripts, without the prefix `python
+    scripts/`.
+    """
     texts = [text for page in pages for _, text in blocks(page, "sh")]
-    texts += [line for page in pages for line in re.findall(r"^`(python .*)`$", page.read_text(), re.MULTILINE)]
+    texts += [
+        line
+        for page in pages
+        for line in re.findall(r"^`(python .*)`$", page.read_text(), re.MULTILINE)
+    ]
     lines = [line for text in texts for line in text.replace("\\\n", "").split("\n")]
     matches = (match[1] for line in lines if (match := re.search(r"python scripts/(.*)", line)))
-    return list(dict.fromkeys(shlex.join(shlex.split(command, comments=True)) for command in matches))
+    return list(
+        dict.fromkeys(shlex.join(shlex.split(command, comments=True)) for command in matches)
+    )
 
 
 def cheap(command):
-    """Return a command's words: a training prints its plan, the other commands print their config."""
+    """Return a command's words: a training prints its plan, the other commands print their
+    config.
+    """
     words = shlex.split(command)
     added = ["dry_run=true"] if words[0] in ("train.py", "tune.py") else ["--cfg", "job"]
     if "hydra/launcher=slurm" in words:
@@ -54,7 +73,9 @@ def add(path, text):
 
 def anchors(page):
     headings = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text()), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings
+    }
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -70,7 +91,9 @@ def test_links_their_anchors_and_named_files_exist(page):
 
 def test_the_reference_has_every_package():
     packages = {path.parent.name for path in (ROOT / "parking_exp").glob("*/__init__.py")}
-    named = re.findall(r"^::: parking_exp\.(\w+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
+    named = re.findall(
+        r"^::: parking_exp\.(\w+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE
+    )
     assert sorted(named) == sorted(packages - {"cli"})
 
 
@@ -81,9 +104,17 @@ def test_commands_run(first, tmp_path):
     winner.parent.mkdir(parents=True)
     winner.write_text("# @package _global_\nexperiment_name: tuned\n")
     # The commands of extending.md need the files of its examples; benchmarks take minutes.
-    every = [command for command in commands(*(set(PAGES) - {EXTENDING})) if not command.startswith("benchmark.py")]
+    every = [
+        command
+        for command in commands(*(set(PAGES) - {EXTENDING}))
+        if not command.startswith("benchmark.py")
+    ]
     read_first = commands(ROOT / "README.md", ROOT / "docs" / "getting_started.md")
-    selected = [command for command in every if (command in read_first and not LARGE.match(command)) == first]
+    selected = [
+        command
+        for command in every
+        if (command in read_first and not LARGE.match(command)) == first
+    ]
     assert len(selected) > 5
     for command in selected:
         script, *words = cheap(command)
@@ -98,7 +129,9 @@ FAST = [page for page in EXAMPLES if page.stem in ("environment", "exporting")]
 @pytest.mark.parametrize("page", slow_but(FAST, EXAMPLES), ids=lambda page: page.stem)
 def test_python_examples_run(page, output_dir, tmp_path, monkeypatch):
     if "load(" in page.read_text():
-        make_store(output_dir, "her_ablation", {"four": ["buffer.n_sampled_goal=4"]}, seeds=range(1))
+        make_store(
+            output_dir, "her_ablation", {"four": ["buffer.n_sampled_goal=4"]}, seeds=range(1)
+        )
     monkeypatch.chdir(tmp_path)
     Path("outputs").symlink_to(output_dir)
     examples = [text for title, text in blocks(page, "python") if not title]
@@ -110,7 +143,9 @@ def test_python_examples_run(page, output_dir, tmp_path, monkeypatch):
 def test_the_search_of_the_tuning_page_is_valid(tmp_path):
     ((title, text),) = blocks(ROOT / "docs" / "tuning.md", "yaml")
     add(tmp_path / title, text)
-    done = call_script("tune", "--config-dir", "my_conf", "search=mine", "dry_run=true", cwd=tmp_path)
+    done = call_script(
+        "tune", "--config-dir", "my_conf", "search=mine", "dry_run=true", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     assert "buffer.n_sampled_goal" in done.stdout
 
@@ -118,16 +153,32 @@ def test_the_search_of_the_tuning_page_is_valid(tmp_path):
 @pytest.mark.slow
 def test_the_examples_of_the_extending_page_run_and_appear_in_results(tmp_path):
     for folder in ("parking_exp", "conf", "scripts"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__")
+        )
     for title, text in blocks(EXTENDING, "python") + blocks(EXTENDING, "yaml"):
         add(tmp_path / title, text)
-    # One command trains a run with all extensions, one shortly on another task; the others print their plan.
-    short = ["total_timesteps=1000", "evaluation.n_scenes=5", "evaluation.final_n_scenes=5", "experiment_name=other"]
+    # One command trains a run with all extensions, one shortly on another task; the others print
+    # their plan.
+    short = [
+        "total_timesteps=1000",
+        "evaluation.n_scenes=5",
+        "evaluation.final_n_scenes=5",
+        "experiment_name=other",
+    ]
     for command in commands(EXTENDING):
         added = short if "my_tasks" in command else [] if "mine" in command else ["dry_run=true"]
         words = [sys.executable, *shlex.split(f"scripts/{command}"), *added]
-        subprocess.run(words, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(tmp_path)}, check=True, timeout=300)
-    (result,) = tmp_path.glob("outputs/mine/parking_dense_lot-fading_sac-her_late-*/seed=0/result.json")
+        subprocess.run(
+            words,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            check=True,
+            timeout=300,
+        )
+    (result,) = tmp_path.glob(
+        "outputs/mine/parking_dense_lot-fading_sac-her_late-*/seed=0/result.json"
+    )
     assert "final/centred_rate" in result.read_text()
     (other,) = tmp_path.glob("outputs/other/*/seed=0/result.json")
     assert 0 <= json.loads(other.read_text())["metrics"]["final/failure_rate"] <= 1

@@ -13,18 +13,24 @@ EXPORTS = ROOT / "docs" / "results"
 
 @pytest.fixture(scope="module")
 def script():
-    spec = importlib.util.spec_from_file_location("results_page", ROOT / "scripts" / "results_page.py")
+    spec = importlib.util.spec_from_file_location(
+        "results_page", ROOT / "scripts" / "results_page.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-def test_page_and_readme_agree_with_the_exports_and_a_changed_rate_is_noticed(script, tmp_path, monkeypatch, capsys):
+def test_page_and_readme_agree_with_the_exports_and_a_changed_rate_is_noticed(
+    script, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(script, "_experiment", functools.cache(script._experiment))
     assert script.main(["--check"]) == 0
     changed = tmp_path / "docs" / "results.md"
     changed.parent.mkdir()
-    changed.write_text((ROOT / "docs" / "results.md").read_text().replace("99.4 [98.8, 99.7]", "99.9 [98.8, 99.7]"))
+    changed.write_text(
+        (ROOT / "docs" / "results.md").read_text().replace("99.4 [98.8, 99.7]", "99.9 [98.8, 99.7]")
+    )
     shutil.copy(ROOT / "README.md", tmp_path)
     for name, path in {"ROOT": tmp_path, "PAGE": changed, "README": tmp_path / "README.md"}.items():
         monkeypatch.setattr(script, name, path)
@@ -36,9 +42,17 @@ def test_every_table_has_its_command_every_figure_a_table_and_exports_are_small(
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     tables = {folder.name for folder in EXPORTS.iterdir() if folder.is_dir()}
     assert tables
-    assert [name for name in tables if f"python scripts/train.py experiment={name}" not in text] == []
+    assert [
+        name for name in tables if f"python scripts/train.py experiment={name}" not in text
+    ] == []
     figures = set(re.findall(r"\]\(images/results_(\w+)\.png\)", text))
-    assert tables - figures == {"her_ablation", "her_learning_rates", "published"}  # replaced, tuning, one seed
+    assert tables - figures == {
+        "her_ablation",
+        "her_learning_rates",
+        "published",
+    }  # replaced, tuning, one seed
     assert figures <= tables
-    assert figures == {path.stem.removeprefix("results_") for path in (ROOT / "docs" / "images").glob("results_*")}
+    assert figures == {
+        path.stem.removeprefix("results_") for path in (ROOT / "docs" / "images").glob("results_*")
+    }
     assert sum(file.stat().st_size for file in EXPORTS.rglob("*")) < 2_000_000

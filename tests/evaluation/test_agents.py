@@ -17,19 +17,29 @@ from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.registry import make_task
 
-TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", "updates_per_step=1")
+TINY = (
+    "algorithm.net_arch=[8]",
+    "n_envs=1",
+    "algorithm.learning_starts=1000",
+    "updates_per_step=1",
+)
 
 
 def make_model(*overrides, seed=0):
     return models.make_model(*TINY, *overrides, seed=seed, for_training=False)
 
 
-@pytest.mark.parametrize("link", ["pretrained", "pretrained/default", "pretrained/default/evaluations"])
+@pytest.mark.parametrize(
+    "link", ["pretrained", "pretrained/default", "pretrained/default/evaluations"]
+)
 def test_results_of_a_pretrained_agent_follow_no_link_out_of_the_output_directory(tmp_path, link):
     path = tmp_path / "outputs" / link
     path.parent.mkdir(parents=True)
     path.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(UntrustedError, match=rf"^{path} is a symbolic link that leads out of {tmp_path / 'outputs'}"):
+    with pytest.raises(
+        UntrustedError,
+        match=rf"^{path} is a symbolic link that leads out of {tmp_path / 'outputs'}",
+    ):
         find_agent("pretrained", tmp_path / "outputs")
 
 
@@ -38,7 +48,12 @@ def test_results_of_a_pretrained_agent_follow_no_link_out_of_the_output_director
     [
         ("pretrained", "parking", "success_rate", 1.0),
         ("pretrained/parked", "parking_stop", "parked_rate", 1.0),
-        ("pretrained/crowded", "parking_stop_crowded", "parked_rate", 0.98),  # of 500 scenes 99.8 %, see its card
+        (
+            "pretrained/crowded",
+            "parking_stop_crowded",
+            "parked_rate",
+            0.98,
+        ),  # of 500 scenes 99.8 %, see its card
     ],
 )
 def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
@@ -47,23 +62,48 @@ def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
     assert agent.config.seed == 0
     assert agent.config.env.name == env
     summary = summarise(
-        evaluate(greedy_policy(agent.model(agent.config.env)), make_task(agent.config.env), range(50)), METRICS
+        evaluate(
+            greedy_policy(agent.model(agent.config.env)), make_task(agent.config.env), range(50)
+        ),
+        METRICS,
     )
     assert summary[metric] == rate
 
 
 def test_a_loaded_model_refuses_to_learn_in_a_sentence(tmp_path):
     model = load_model("pretrained", tmp_path)
-    with pytest.raises(ModelError, match=r"^this model only predicts, since it has no replay buffer; .*$"):
+    with pytest.raises(
+        ModelError, match=r"^this model only predicts, since it has no replay buffer; .*$"
+    ):
         model.learn(100)
 
 
 def test_their_configs_are_those_of_the_recipes():
-    crowded = ("env=parking_stop_crowded", "env.observation.vehicles_count=4", "env.vehicles_count=[0,20]", "seeds=1")
-    recipes = {"default": (), "parked": ("experiment=parked",), "crowded": ("experiment=crowded", *crowded)}
+    crowded = (
+        "env=parking_stop_crowded",
+        "env.observation.vehicles_count=4",
+        "env.vehicles_count=[0,20]",
+        "seeds=1",
+    )
+    recipes = {
+        "default": (),
+        "parked": ("experiment=parked",),
+        "crowded": ("experiment=crowded", *crowded),
+    }
     for name, overrides in recipes.items():
-        config, recipe = find_agent(f"pretrained/{name}", PRETRAINED_DIR).config, make_config(*overrides)
-        for part in ("env", "algorithm", "buffer", "total_timesteps", "n_envs", "updates_per_step", "precision"):
+        config, recipe = (
+            find_agent(f"pretrained/{name}", PRETRAINED_DIR).config,
+            make_config(*overrides),
+        )
+        for part in (
+            "env",
+            "algorithm",
+            "buffer",
+            "total_timesteps",
+            "n_envs",
+            "updates_per_step",
+            "precision",
+        ):
             assert getattr(config, part) == getattr(recipe, part), part
 
 
@@ -90,12 +130,22 @@ def test_a_saved_policy_is_restored_bit_for_bit_and_alone(algorithm, tmp_path):
 @pytest.mark.parametrize(
     ("saved", "loaded", "difference"),
     [
-        ("algorithm.features=ego_fine", "algorithm.features=ego_mirrored", "MultiInputPolicy, not MirroredTD3Policy"),
-        ("algorithm.features=ego_fine", "algorithm.features=ego", "FineEgoFrameExtractor, not EgoFrameExtractor"),
+        (
+            "algorithm.features=ego_fine",
+            "algorithm.features=ego_mirrored",
+            "MultiInputPolicy, not MirroredTD3Policy",
+        ),
+        (
+            "algorithm.features=ego_fine",
+            "algorithm.features=ego",
+            "FineEgoFrameExtractor, not EgoFrameExtractor",
+        ),
         ("algorithm.net_arch=[9]", "algorithm.net_arch=[8]", "actor.mu.0.weight"),
     ],
 )
-def test_the_policy_of_another_model_is_refused_and_changes_nothing(saved, loaded, difference, tmp_path):
+def test_the_policy_of_another_model_is_refused_and_changes_nothing(
+    saved, loaded, difference, tmp_path
+):
     save_policy(make_model("algorithm=td3", saved), tmp_path / "policy.safetensors")
     model = make_model("algorithm=td3", loaded)
     before = [weight.clone() for weight in model.actor.parameters()]
@@ -104,7 +154,9 @@ def test_the_policy_of_another_model_is_refused_and_changes_nothing(saved, loade
     assert all(map(torch.equal, before, model.actor.parameters()))
 
 
-@pytest.mark.parametrize("damage", [lambda content: content[:-9], lambda content: b"", lambda content: b"\xff" * 99])
+@pytest.mark.parametrize(
+    "damage", [lambda content: content[:-9], lambda content: b"", lambda content: b"\xff" * 99]
+)
 def test_a_damaged_policy_is_refused(damage, tmp_path, monkeypatch):
     shutil.copytree(PRETRAINED_DIR / "default", tmp_path / "default")
     file = tmp_path / "default" / "policy.safetensors"

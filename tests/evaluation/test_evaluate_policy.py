@@ -75,8 +75,12 @@ def test_parked_is_inside_the_lines_straight_and_stationary(pose, parked):
 def test_the_pose_is_seen_from_the_slot():
     ahead, left, slot = np.array([0.6, 0.8]), np.array([-0.8, 0.6]), np.array([4.0, 14.0])
     heading = math.atan2(0.8, 0.6)
-    pose = relative_pose(slot + ahead + 0.25 * left, heading + 0.1 - 2 * math.pi, -2.0, slot, heading)
-    assert (pose.ahead_m, pose.side_m, pose.heading_error_rad, pose.speed_mps) == pytest.approx((1.0, 0.25, 0.1, -2.0))
+    pose = relative_pose(
+        slot + ahead + 0.25 * left, heading + 0.1 - 2 * math.pi, -2.0, slot, heading
+    )
+    assert (pose.ahead_m, pose.side_m, pose.heading_error_rad, pose.speed_mps) == pytest.approx(
+        (1.0, 0.25, 0.1, -2.0)
+    )
     assert pose.distance_m == pytest.approx(math.hypot(1.0, 0.25))
 
 
@@ -109,6 +113,11 @@ def test_the_best_is_chosen_by_success_then_crashes_then_steps():
     def summary(success, crash, steps):
         return {"success_rate": success, "crash_rate": crash, "steps_mean": steps}
 
-    best_first = [summary(0.9, 0.1, 50), summary(0.9, 0.1, 60), summary(0.9, 0.05, 500), summary(0.8, 0.0, 10)]
+    best_first = [
+        summary(0.9, 0.1, 50),
+        summary(0.9, 0.1, 60),
+        summary(0.9, 0.05, 500),
+        summary(0.8, 0.0, 10),
+    ]
     order = sorted(best_first, key=lambda summary: rank(summary, ParkingTask), reverse=True)
     assert order == [best_first[2], best_first[0], best_first[1], best_first[3]]

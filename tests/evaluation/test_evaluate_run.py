@@ -32,7 +32,12 @@ def finished(smoke, tmp_path):
 def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     directory, output_dir = finished
     done = call_script(
-        "evaluate", f"run={directory.run_id}", f"output_dir={output_dir}", "episodes=6", "video=1", "gif=true"
+        "evaluate",
+        f"run={directory.run_id}",
+        f"output_dir={output_dir}",
+        "episodes=6",
+        "video=1",
+        "gif=true",
     )
     assert done.returncode == 0, done.stderr
     progress = "evaluation  "  # of an evaluation that takes seconds, on a slow machine
@@ -54,9 +59,18 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
         shown_ms = sum(frame.info["duration"] for frame in ImageSequence.Iterator(gif))
     assert shown_ms == 200 * -(-frames // 3)
     stored = artifacts(store(output_dir), directory.run_id, f"evaluations/{folder.name}")
-    assert [path.rpartition("/")[2] for path in stored] == ["episodes.csv", "summary.json", "video.gif", "video.mp4"]
+    assert [path.rpartition("/")[2] for path in stored] == [
+        "episodes.csv",
+        "summary.json",
+        "video.gif",
+        "video.mp4",
+    ]
     # The same model on the same scenes: what the run itself saw at its end.
-    final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'").reset_index(drop=True)
+    final = (
+        pd.read_csv(directory.path / "episodes.csv")
+        .query("phase == 'final'")
+        .reset_index(drop=True)
+    )
     pd.testing.assert_frame_equal(table.head(5), final[episode_columns(METRICS)], rtol=1e-6)
 
 
@@ -88,7 +102,9 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     assert {summary["env_config"]["vehicles_count"] for summary in summaries} == {0, 20}
     assert "3 episodes of parking (vehicles_count=20), from seed 0" in done.stdout
     done = call_script("evaluate", *arguments[:-1], "env.vehicles_count=20")
-    assert done.stdout.splitlines()[-1].split()[-7] == "vehicles_count=20"  # named, where it is the only one
+    assert (
+        done.stdout.splitlines()[-1].split()[-7] == "vehicles_count=20"
+    )  # named, where it is the only one
     done = call_script("evaluate", *arguments, "name=same")
     assert done.returncode == 2 and "name" in done.stderr
     RunDirectory(twin).update(status="failed")
@@ -104,7 +120,9 @@ def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
     config = OmegaConf.load(directory.path / "config.yaml")
     OmegaConf.update(config, "env.observation.vehicles_count", 4)
     OmegaConf.save(config, directory.path / "config.yaml")
-    (request,) = (validate_request(config) for config in compose_configs("evaluate", ["env=parking_crowded"]))
+    (request,) = (
+        validate_request(config) for config in compose_configs("evaluate", ["env=parking_crowded"])
+    )
     env = choose_env(request, find_agent(str(directory.path), directory.output_dir))
     assert (env.name, env.vehicles_count) == ("parking_crowded", 10)
     assert env.observation.vehicles_count == 4
@@ -154,9 +172,14 @@ def test_a_mistake_is_one_sentence_that_names_the_key(smoke, arguments, named):
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(("run", "n_scenes"), [("latest", 100), ("pretrained", 20), ("pretrained/parked", 20)])
+@pytest.mark.parametrize(
+    ("run", "n_scenes"), [("latest", 100), ("pretrained", 20), ("pretrained/parked", 20)]
+)
 def test_a_pretrained_agent_is_evaluated_on_20_scenes_and_a_run_on_100_by_default(run, n_scenes):
-    for arguments, expected in ((["first_scene=3"], range(3, 3 + n_scenes)), (["episodes=7"], range(7))):
+    for arguments, expected in (
+        (["first_scene=3"], range(3, 3 + n_scenes)),
+        (["episodes=7"], range(7)),
+    ):
         (config,) = compose_configs("evaluate", [f"run={run}", *arguments])
         assert validate_request(config).seeds == expected
 

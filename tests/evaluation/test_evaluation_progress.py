@@ -16,7 +16,10 @@ def lines(finished, capsys):
 def test_without_a_terminal_there_is_a_line_for_each_tenth_of_the_episodes(monkeypatch, capsys):
     monkeypatch.setattr(evaluation_progress, "QUIET_S", 0.0)
     shown = lines(range(1, 501), capsys)
-    tenths = [f"evaluation  {number} of 500 episodes of parking over, after 0 s" for number in range(50, 501, 50)]
+    tenths = [
+        f"evaluation  {number} of 500 episodes of parking over, after 0 s"
+        for number in range(50, 501, 50)
+    ]
     assert [line for line in shown if line in tenths] == tenths
 
 
@@ -24,9 +27,13 @@ def test_while_no_episode_is_over_lines_come_at_growing_intervals(monkeypatch, c
     seconds = iter(range(1000))
     monkeypatch.setattr(evaluation_progress.time, "monotonic", lambda: next(seconds))
     shown = lines([0] * 90, capsys)
-    assert shown == [f"evaluation  0 of 500 episodes of parking over, after {s} s" for s in (5, 10, 20, 40, 80)]
+    assert shown == [
+        f"evaluation  0 of 500 episodes of parking over, after {s} s" for s in (5, 10, 20, 40, 80)
+    ]
 
 
 def test_a_short_evaluation_prints_no_progress(tmp_path):
-    done = call_script("evaluate", "run=pretrained", "episodes=2", "simulator=vectorized", cwd=tmp_path)
+    done = call_script(
+        "evaluate", "run=pretrained", "episodes=2", "simulator=vectorized", cwd=tmp_path
+    )
     assert (done.returncode, done.stderr) == (0, "")

@@ -1,4 +1,6 @@
-"""Exported policies: what is in the files, that they give the model's actions, and what is refused."""
+"""Exported policies: what is in the files, that they give the model's actions, and what is
+refused.
+"""
 
 import re
 import shutil
@@ -24,7 +26,9 @@ from parking_exp.evaluation.agents import PRETRAINED_DIR
 
 NAMES = ["achieved_goal", "desired_goal", "observation"]
 FORMATS = ("onnx", "safetensors")
-BLOCKED = "import sys; sys.modules |= dict.fromkeys(['torch', 'stable_baselines3', 'parking_exp'])\n"
+BLOCKED = (
+    "import sys; sys.modules |= dict.fromkeys(['torch', 'stable_baselines3', 'parking_exp'])\n"
+)
 AGENTS = {
     **{f"td3 {features}": ("algorithm=td3", f"algorithm.features={features}")
        for features in ("raw", "ego", "ego_fine", "ego_mirrored")},
@@ -49,7 +53,9 @@ def agent(name):
     return model
 
 
-@pytest.mark.parametrize("name", slow_but([name for name in AGENTS if name not in EXPENSIVE], AGENTS))
+@pytest.mark.parametrize(
+    "name", slow_but([name for name in AGENTS if name not in EXPENSIVE], AGENTS)
+)
 def test_an_onnx_file_gives_the_actions_of_predict_whatever_the_batch(name, tmp_path):
     model = agent(name)
     export_onnx(model, tmp_path / "policy.onnx")
@@ -60,8 +66,13 @@ def test_an_onnx_file_gives_the_actions_of_predict_whatever_the_batch(name, tmp_
     assert inputs == [(name, ["batch", sizes[name]], "tensor(float)") for name in NAMES]
     rng = np.random.default_rng(7)
     for batch in (1, 7, 200):
-        observations = {name: rng.normal(0, 0.3, (batch, sizes[name])).astype(np.float32) for name in NAMES}
-        (actions,), (expected, _) = session.run(["action"], observations), model.predict(observations, None, None, True)
+        observations = {
+            name: rng.normal(0, 0.3, (batch, sizes[name])).astype(np.float32) for name in NAMES
+        }
+        (actions,), (expected, _) = (
+            session.run(["action"], observations),
+            model.predict(observations, None, None, True),
+        )
         assert (actions.shape, actions.dtype) == ((batch, 2), np.float32)
         assert np.abs(actions - expected).max() < 1e-5
     assert np.abs(expected).max() > 0.1
@@ -103,9 +114,17 @@ def test_the_command_writes_into_the_run_directory_or_to_a_path(file_format, run
     assert (done.returncode, done.stderr) == (0, "")
     directory, exported, file = done.stdout.splitlines()
     assert directory == f"run directory  {run}"
-    assert exported == f"exported       final model as {file_format}, {path.stat().st_size / 1000:.1f} kB"
+    assert (
+        exported
+        == f"exported       final model as {file_format}, {path.stat().st_size / 1000:.1f} kB"
+    )
     assert file == f"file           {path}"
-    arguments = (f"run={run}", "model=best", f"path=made/best{path.suffix}", f"format={file_format}")
+    arguments = (
+        f"run={run}",
+        "model=best",
+        f"path=made/best{path.suffix}",
+        f"format={file_format}",
+    )
     assert f"best model as {file_format}" in call_script("export", *arguments, cwd=tmp_path).stdout
     assert [path.name for path in (tmp_path / "made").iterdir()] == [f"best{path.suffix}"]
 
@@ -122,7 +141,9 @@ def test_the_command_writes_into_the_run_directory_or_to_a_path(file_format, run
 )
 def test_a_mistake_is_one_sentence_that_names_the_key(arguments, named, run, tmp_path):
     (tmp_path / "file").touch()
-    done = call_script("export", *(argument.format(run=run) for argument in arguments), cwd=tmp_path)
+    done = call_script(
+        "export", *(argument.format(run=run) for argument in arguments), cwd=tmp_path
+    )
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert done.stderr.startswith(f"error: {named.format(here=tmp_path)}")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
@@ -137,12 +158,16 @@ def test_a_mistake_is_one_sentence_that_names_the_key(arguments, named, run, tmp
         (["run='{run}','{link}'"], "{run}/exports/policy.onnx"),
     ],
 )
-def test_two_policies_for_one_file_are_refused_before_anything_is_written(arguments, file, run, tmp_path):
+def test_two_policies_for_one_file_are_refused_before_anything_is_written(
+    arguments, file, run, tmp_path
+):
     link = tmp_path / "link"
     link.symlink_to(run)
     names = {"run": run, "link": link}
     before = sorted(run.rglob("*"))
-    done = call_script("export", *(argument.format(**names) for argument in arguments), cwd=tmp_path)
+    done = call_script(
+        "export", *(argument.format(**names) for argument in arguments), cwd=tmp_path
+    )
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.endswith(": 2 policies would be written to this file\n")
@@ -152,7 +177,9 @@ def test_two_policies_for_one_file_are_refused_before_anything_is_written(argume
 
 
 def test_several_agents_are_exported_to_their_own_files(tmp_path):
-    done = call_script("export", "run=pretrained,pretrained/parked", "format=safetensors", cwd=tmp_path)
+    done = call_script(
+        "export", "run=pretrained,pretrained/parked", "format=safetensors", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     files = sorted(tmp_path.rglob("*.safetensors"))
     assert [str(file.relative_to(tmp_path)) for file in files] == [
@@ -176,13 +203,17 @@ def test_an_export_starts_no_telemetry_of_onnxruntime(tmp_path):
 
 
 def test_without_the_extra_onnx_is_refused(run, monkeypatch):
-    monkeypatch.setattr(export_run, "find_spec", lambda name: None if name == "onnxruntime" else object())
+    monkeypatch.setattr(
+        export_run, "find_spec", lambda name: None if name == "onnxruntime" else object()
+    )
     done = call_script("export", f"run={run}")
     assert done.stderr.startswith("error: format=onnx: onnxruntime ")
 
 
 def drive(example, run, folder):
-    """Export a pretrained agent and run an example of the docs beside the file; return what it prints."""
+    """Export a pretrained agent and run an example of the docs beside the file; return what it
+    prints.
+    """
     assert call_script("export", f"run={run}", "path=policy.onnx", cwd=folder).returncode == 0
     (folder / "drive.py").write_text(BLOCKED + example)
     command = [sys.executable, "drive.py"]

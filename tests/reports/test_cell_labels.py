@@ -6,7 +6,12 @@ import pandas as pd
 import pytest
 from support.runs import stored_params
 
-from parking_exp.config.cell_labels import differing_keys, find_factors, label_cells, labels_from_factors
+from parking_exp.config.cell_labels import (
+    differing_keys,
+    find_factors,
+    label_cells,
+    labels_from_factors,
+)
 from parking_exp.config.compose import compose_runs
 from parking_exp.errors import ConfigError
 from parking_exp.reports.cell_selection import choose, find_contrasts, group
@@ -27,7 +32,10 @@ def cell(env="parking", algorithm="sac", buffer="her_future", **others):
         "tracking.uri": None,
     }
     if buffer != "replay":
-        base |= {"buffer.goal_selection_strategy": buffer.removeprefix("her_"), "buffer.n_sampled_goal": 4}
+        base |= {
+            "buffer.goal_selection_strategy": buffer.removeprefix("her_"),
+            "buffer.n_sampled_goal": 4,
+        }
     return base | {key.replace("__", "."): value for key, value in others.items()}
 
 
@@ -45,7 +53,11 @@ def test_keys_that_follow_from_a_groups_option_are_no_factors():
 
 @pytest.mark.parametrize("n_runs", [1, 2])
 def test_each_key_that_a_search_varies_is_a_factor_whatever_the_number_of_runs(n_runs):
-    trials = [cell(algorithm__gamma=0.9 + n / 100, algorithm__tau=n / 10) for n in range(6) for _ in range(n_runs)]
+    trials = [
+        cell(algorithm__gamma=0.9 + n / 100, algorithm__tau=n / 10)
+        for n in range(6)
+        for _ in range(n_runs)
+    ]
     factors, _ = find_factors(trials, ["one"] * len(trials))
     assert [factor.name for factor in factors] == ["gamma", "tau"]
 
@@ -56,7 +68,10 @@ def test_the_control_of_a_her_ablation_has_no_n_sampled_goal():
         for strategy, n in product(["future", "final", "random"], [1, 4, 8])
     ]
     factors, settings = find_factors([*crossed, cell(buffer="replay")], ["her"] * 10)
-    assert [(factor.key, factor.numeric) for factor in factors] == [("buffer", False), ("buffer.n_sampled_goal", True)]
+    assert [(factor.key, factor.numeric) for factor in factors] == [
+        ("buffer", False),
+        ("buffer.n_sampled_goal", True),
+    ]
     assert factors[1].levels == [1, 4, 8]
     assert settings[-1] == {"buffer": "replay", "buffer.n_sampled_goal": None}
     labels = labels_from_factors(factors, settings, ["name-key"] * 10)
@@ -65,25 +80,40 @@ def test_the_control_of_a_her_ablation_has_no_n_sampled_goal():
 
 
 def test_keys_that_always_change_together_count_once():
-    small, full = {"evaluation__n_scenes": 20}, {"total_timesteps": 60000, "evaluation__n_scenes": 50}
-    keys, labels = described([cell(env, **budget) for env in ("parking", "parking_sparse") for budget in (small, full)])
+    small, full = (
+        {"evaluation__n_scenes": 20},
+        {"total_timesteps": 60000, "evaluation__n_scenes": 50},
+    )
+    keys, labels = described(
+        [cell(env, **budget) for env in ("parking", "parking_sparse") for budget in (small, full)]
+    )
     assert keys == ["env", "total_timesteps"]
     assert labels[3] == "parking_sparse, total_timesteps=60000"
 
 
 def test_all_sampled_keys_of_a_search_are_factors():
     goals = enumerate([1, 2, 4, 8, 1, 2, 4, 8, 1])
-    keys, _ = described([cell(algorithm__gamma=0.9 + k / 100, buffer__n_sampled_goal=n) for k, n in goals])
+    keys, _ = described(
+        [cell(algorithm__gamma=0.9 + k / 100, buffer__n_sampled_goal=n) for k, n in goals]
+    )
     assert set(keys) == {"algorithm.gamma", "buffer.n_sampled_goal"}
 
 
 def test_seed_store_and_checkpoints_do_not_distinguish_cells():
-    changes = {"seed": 3, "tracking.uri": "http://x", "checkpoint.keep_last": 1, "evaluation.video_episodes": 3}
+    changes = {
+        "seed": 3,
+        "tracking.uri": "http://x",
+        "checkpoint.keep_last": 1,
+        "evaluation.video_episodes": 3,
+    }
     assert differing_keys([cell(), cell() | changes]) == []
 
 
 def test_a_label_of_the_config_replaces_the_keys_that_it_determines():
-    tutorial, default = cell(label="tutorial", algorithm__gamma=0.9, n_envs=1), cell(label="default", algorithm="td3")
+    tutorial, default = (
+        cell(label="tutorial", algorithm__gamma=0.9, n_envs=1),
+        cell(label="default", algorithm="td3"),
+    )
     assert described([tutorial, default]) == (["label"], ["tutorial", "default"])
     assert label_cells([tutorial], ["name-key"]) == ["tutorial"]
     shared = [tutorial, cell(label="tutorial", algorithm__gamma=0.8, n_envs=1), cell()]
@@ -97,14 +127,18 @@ def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
 
 
 def test_experiments_come_first_and_take_what_follows_from_them():
-    keys, labels = described([cell(), cell(algorithm__gamma=0.8), cell(n_envs=8)], ["one", "one", "two"])
+    keys, labels = described(
+        [cell(), cell(algorithm__gamma=0.8), cell(n_envs=8)], ["one", "one", "two"]
+    )
     assert keys == ["experiment", "algorithm.gamma"]
     assert labels == ["one, gamma=0.95", "one, gamma=0.8", "two, gamma=0.95"]
 
 
 def test_factors_with_the_same_last_part_have_longer_names():
     durations = [(1, 1), (2, 1), (1, 2)]
-    factors, _ = find_factors([cell(env__duration=a, algorithm__duration=b) for a, b in durations], ["one"] * 3)
+    factors, _ = find_factors(
+        [cell(env__duration=a, algorithm__duration=b) for a, b in durations], ["one"] * 3
+    )
     assert {factor.name for factor in factors} == {"env.duration", "algorithm.duration"}
 
 
@@ -118,9 +152,16 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
 def stored(runs):
     """Planned runs as rows of `Results.runs`."""
     configs = [stored_params(run.config) for run in runs]
-    columns = {f"config.{key}": config_column(c.get(key) for c in configs) for key in set().union(*configs)}
-    columns |= {"cell": [run.config.cell for run in runs], "seed": [run.config.seed for run in runs]}
-    return pd.DataFrame({"experiment": "parking", "status": "done", "started": range(len(runs)), **columns})
+    columns = {
+        f"config.{key}": config_column(c.get(key) for c in configs) for key in set().union(*configs)
+    }
+    columns |= {
+        "cell": [run.config.cell for run in runs],
+        "seed": [run.config.seed for run in runs],
+    }
+    return pd.DataFrame(
+        {"experiment": "parking", "status": "done", "started": range(len(runs)), **columns}
+    )
 
 
 @pytest.mark.parametrize(
@@ -138,14 +179,21 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
     assert expected is None or set(planned.values()) == expected
 
 
-@pytest.mark.parametrize("experiment", ["envs_and_updates", "goal_tasks", "her_tuned", "ladder", "td3_or_sac"])
+@pytest.mark.parametrize(
+    "experiment", ["envs_and_updates", "goal_tasks", "her_tuned", "ladder", "td3_or_sac"]
+)
 def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path):
-    runs = plan(compose_runs("config", [f"experiment={experiment}", "seeds=1", f"output_dir={tmp_path}"]))
+    runs = plan(
+        compose_runs("config", [f"experiment={experiment}", "seeds=1", f"output_dir={tmp_path}"])
+    )
     cells = group(stored(runs))
     contrasts, *problems = find_contrasts(cells)
     assert (len(contrasts), problems) == (len(runs[0].config.contrasts), [[], []])
     if experiment == "ladder":
-        assert [cell.label for cell in choose(cells, ["label='no EMA',default"])] == ["default", "no EMA"]
+        assert [cell.label for cell in choose(cells, ["label='no EMA',default"])] == [
+            "default",
+            "no EMA",
+        ]
 
 
 def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
@@ -153,13 +201,21 @@ def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
     assert (run.config.label, run.config.algorithm.policy_ema_half_life) == ("no EMA", None)
     two = compose_runs("config", ["experiment=ladder", "seeds=1", "label='no EMA',default"])
     assert [run.config.label for run in plan(two)] == ["default", "no EMA"]
-    any_text = compose_runs("config", [r"""cells=[{label:"a, 'b\c'",seed:1},{label:null,seed:2}]"""])
+    any_text = compose_runs(
+        "config", [r"""cells=[{label:"a, 'b\c'",seed:1},{label:null,seed:2}]"""]
+    )
     assert [run.config.label for run in plan(any_text)] == [r"a, 'b\c'", None]
     (cell,) = choose(group(stored(plan(any_text))), [r"""label="a, 'b\c'" """.strip()])
     assert cell.label == r"a, 'b\c'"
     for overrides, hint in {
-        ("experiment=ladder", "label=default,no EMAs"): "label=no EMAs: experiment=ladder .*; did you mean 'no EMA'",
-        ("experiment=goal_tasks", "label='fetch_reach, replay'"): "goal_tasks has no such label; select cells by their",
+        (
+            "experiment=ladder",
+            "label=default,no EMAs",
+        ): "label=no EMAs: experiment=ladder .*; did you mean 'no EMA'",
+        (
+            "experiment=goal_tasks",
+            "label='fetch_reach, replay'",
+        ): "goal_tasks has no such label; select cells by their",
     }.items():
         with pytest.raises(ConfigError, match=hint):
             compose_runs("config", [*overrides])

@@ -1,4 +1,6 @@
-"""The figures of a report: which there are, that they show the report's values, and that no name can do harm."""
+"""The figures of a report: which there are, that they show the report's values, and that no name
+can do harm.
+"""
 
 import re
 import warnings
@@ -74,7 +76,9 @@ def sections(*ids):
 def test_every_figure_is_written_in_every_format(drawn):
     folder, pictures = drawn
     assert list(pictures) == LIST
-    assert {path.name for path in folder.iterdir()} == {f"{n}.{kind}" for n in LIST for kind in ("svg", "png")}
+    assert {path.name for path in folder.iterdir()} == {
+        f"{n}.{kind}" for n in LIST for kind in ("svg", "png")
+    }
     for name in LIST:
         assert ET.fromstring((folder / f"{name}.svg").read_bytes()).tag == f"{SVG}svg"
         assert pictures[name].svg == (folder / f"{name}.svg").read_bytes()
@@ -100,10 +104,15 @@ def test_final_success_has_every_seed_and_the_mean_with_its_interval(three):
         seeds, interval, mean = lines(axes, cell.id)
         assert seeds.get_xdata() == pytest.approx([100 * seed.success for seed in cell.seeds])
         assert np.abs(seeds.get_ydata() - row).max() < 0.5
-        assert interval.get_xdata() == pytest.approx([100 * cell.success.low, min(100, 100 * cell.success.high)])
+        assert interval.get_xdata() == pytest.approx(
+            [100 * cell.success.low, min(100, 100 * cell.success.high)]
+        )
         assert mean.get_xdata() == pytest.approx([100 * cell.success.value])
     (axes,) = axes_of(cell_figures.draw_final_success, replace(three, shown=["c2"]))
-    assert {line.get_color() for line in axes.lines} == {cell_style("c2").colour, INK}  # a cell keeps its colour
+    assert {line.get_color() for line in axes.lines} == {
+        cell_style("c2").colour,
+        INK,
+    }  # a cell keeps its colour
 
 
 def test_learning_curves_have_means_and_every_seed(three):
@@ -135,8 +144,14 @@ def test_pairs_are_differences_between_all_cells_or_from_the_baseline(three):
     assert "▲" in axes.texts[1].get_text()
     _, _, ddpg = axes.lines[1:][1::2]
     assert ddpg.get_xdata() == pytest.approx([100 * three.pairs[2].difference.value])
-    many = [*comparison_figures.draw_pairs(replace(three, pairs=[three.pairs[0]] * 60, declared=True))]
-    assert [len(figure.axes[0].texts) for figure, _ in many] == [24, 24, 12]  # as many as fit on a page
+    many = [
+        *comparison_figures.draw_pairs(replace(three, pairs=[three.pairs[0]] * 60, declared=True))
+    ]
+    assert [len(figure.axes[0].texts) for figure, _ in many] == [
+        24,
+        24,
+        12,
+    ]  # as many as fit on a page
     assert [caption for _, caption in many[1:]] == ["Continued."] * 2
     against = replace(three, baseline="c2", reference="c2", pairs=three.pairs[1:])
     (axes,) = axes_of(comparison_figures.draw_pairs, against)
@@ -157,7 +172,10 @@ def test_two_crossed_factors_are_a_map_of_mean_success():
     axes, _ = axes_of(comparison_figures.draw_two_factors, report)
     rates = {cell.label: f"{100 * cell.success.value:.1f}" for cell in report.cells}
     assert texts(axes.texts) == [*rates.values()]
-    assert (texts(axes.get_xticklabels())[3], texts(axes.get_yticklabels())[0]) == ("8", "her_future")
+    assert (texts(axes.get_xticklabels())[3], texts(axes.get_yticklabels())[0]) == (
+        "8",
+        "her_future",
+    )
 
 
 def test_the_map_has_failures_by_slot(three):
@@ -165,9 +183,12 @@ def test_the_map_has_failures_by_slot(three):
     unknown = cell.task_data["slots"][5] | {"n": 0, "success": None, "crash": None, "timeout": None}
     slots = [*cell.task_data["slots"][:5], unknown, *cell.task_data["slots"][6:]]
     axes, *_ = axes_of(
-        of_cells(lot_figures.draw_scene_map), with_first(three, task_data={**cell.task_data, "slots": slots})
+        of_cells(lot_figures.draw_scene_map),
+        with_first(three, task_data={**cell.task_data, "slots": slots}),
     )
-    rates = [np.nan if row["crash"] is None else 100 * (row["crash"] + row["timeout"]) for row in slots]
+    rates = [
+        np.nan if row["crash"] is None else 100 * (row["crash"] + row["timeout"]) for row in slots
+    ]
     assert axes.collections[1].get_array().filled(np.nan) == pytest.approx(rates, nan_ok=True)
     assert texts(axes.texts) == [f"{rate:.0f}" for rate in rates if np.isfinite(rate)]
 
@@ -183,7 +204,10 @@ def test_the_map_has_failures_by_slot(three):
     ids=["one seed", "all succeed", "failed cell", "many cells"],
 )
 def test_unusual_contents_are_drawn_without_a_warning(example, tmp_path):
-    assert draw(example(), tmp_path, [], sections("results", "curves", "time", "pairs"))[0].name == "final_success"
+    assert (
+        draw(example(), tmp_path, [], sections("results", "curves", "time", "pairs"))[0].name
+        == "final_success"
+    )
 
 
 def test_nothing_to_draw_gives_no_figure(tmp_path):
@@ -197,13 +221,25 @@ def test_nothing_to_draw_gives_no_figure(tmp_path):
 def test_labels_are_written_as_they_are_and_do_nothing(tmp_path):
     hostile = "a\x00b\x1b[31m\u202eevil \ud800 <script>alert(1)</script>"
     labels = [r"$\frac{x}{0} a_b^c \n", "Größe α 学習", hostile, *report_factory.HOSTILE[1:3]]  # noqa: RUF001
-    (picture,) = draw(report_factory.report(5, 2, labels=labels), tmp_path, ["png"], sections("results"))
+    (picture,) = draw(
+        report_factory.report(5, 2, labels=labels), tmp_path, ["png"], sections("results")
+    )
     elements = [*ET.fromstring(picture.svg).iter()]
-    assert {*labels[:2], "ab[31mevil <script>alert(1)</script>"} <= {element.text for element in elements}
-    assert not {e.tag.removeprefix(SVG) for e in elements} & {"script", "img", "b", "a", "foreignObject"}
+    assert {*labels[:2], "ab[31mevil <script>alert(1)</script>"} <= {
+        element.text for element in elements
+    }
+    assert not {e.tag.removeprefix(SVG) for e in elements} & {
+        "script",
+        "img",
+        "b",
+        "a",
+        "foreignObject",
+    }
     attributes = [item for element in elements for item in element.attrib.items()]
     assert not [key for key, _ in attributes if key.startswith("on")]
-    assert all(link.startswith(("#", "data:image/")) for key, link in attributes if key.endswith("href"))
+    assert all(
+        link.startswith(("#", "data:image/")) for key, link in attributes if key.endswith("href")
+    )
     assert not re.search(rb"url\((?!#)", picture.svg)
 
 

@@ -10,7 +10,13 @@ from support.marks import slow_but
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import Picture, section_contents
 
-ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-sync",
+]
 SECTIONS = {
     "final_success": "results", "learning_curves": "curves", "time_to_90": "time", "pairwise": "pairs",
     "scene_map": "scenes",
@@ -25,7 +31,9 @@ PICTURES = [
 @pytest.fixture(scope="session")
 def browser():
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    executable = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    executable = next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )
     if executable is None:
         reason = "no browser found: apt-get install chromium"
         if os.environ.get("CI", "").lower() not in ("", "0", "false"):
@@ -46,7 +54,9 @@ def files(tmp_path_factory):
         path = folder / f"{name}.html"
         if not path.exists():
             report = getattr(report_factory, name)()
-            path.write_text(render_page(report, section_contents(report, PICTURES)), encoding="utf-8")
+            path.write_text(
+                render_page(report, section_contents(report, PICTURES)), encoding="utf-8"
+            )
         return path
 
     return written
@@ -64,8 +74,13 @@ def show(browser, files):
         tab = context.new_page()
         tab.on("console", lambda message: seen.append(f"console: {message.text}"))
         tab.on("pageerror", lambda error: seen.append(f"error: {error}"))
-        tab.on("dialog", lambda dialog: (seen.append(f"dialog: {dialog.message}"), dialog.dismiss()))
-        tab.on("request", lambda request: request.url != path.as_uri() and seen.append(f"request: {request.url}"))
+        tab.on(
+            "dialog", lambda dialog: (seen.append(f"dialog: {dialog.message}"), dialog.dismiss())
+        )
+        tab.on(
+            "request",
+            lambda request: request.url != path.as_uri() and seen.append(f"request: {request.url}"),
+        )
         tab.goto(path.as_uri())
         return tab
 
@@ -78,10 +93,14 @@ def show(browser, files):
 def labels_in(tab):
     """Labels of the visible rows of the headline's table, in their order."""
     rows = tab.locator("#table-headline tbody tr")
-    return rows.evaluate_all("rows => rows.filter(row => !row.hidden).map(row => row.cells[0].innerText.trim())")
+    return rows.evaluate_all(
+        "rows => rows.filter(row => !row.hidden).map(row => row.cells[0].innerText.trim())"
+    )
 
 
-@pytest.mark.parametrize("name", slow_but(["her_ablation"], ["all_succeed", "with_failed_cell", "her_ablation"]))
+@pytest.mark.parametrize(
+    "name", slow_but(["her_ablation"], ["all_succeed", "with_failed_cell", "her_ablation"])
+)
 def test_page_is_no_wider_than_the_window(show, name):
     report = getattr(report_factory, name)()
     tab = show(name, 360)
@@ -95,7 +114,10 @@ def test_page_is_no_wider_than_the_window(show, name):
 def test_success_sorts_best_first_then_worst_first_and_missing_last(show):
     tab = show("with_failed_cell")
     success = tab.locator("#table-headline thead th", has_text="Success").first
-    for order, labels in (("descending", ["sac", "td3", "ddpg"]), ("ascending", ["td3", "sac", "ddpg"])):
+    for order, labels in (
+        ("descending", ["sac", "td3", "ddpg"]),
+        ("ascending", ["td3", "sac", "ddpg"]),
+    ):
         success.locator("button").click()
         assert success.get_attribute("aria-sort") == order
         assert labels_in(tab) == labels
@@ -126,7 +148,9 @@ def test_hostile_names_are_text(show):
 def test_an_injected_inline_script_does_not_run(browser, files):
     tab = browser.new_page()
     tab.goto(files("report").as_uri())
-    tab.evaluate("document.body.append(Object.assign(document.createElement('script'), {text: 'window.pwned = 1'}))")
+    tab.evaluate(
+        "document.body.append(Object.assign(document.createElement('script'), {text: 'window.pwned = 1'}))"
+    )
     assert tab.evaluate("window.pwned") is None
     tab.close()
 
@@ -137,7 +161,9 @@ def test_print_fits_the_page_and_the_head_of_a_table_can_be_repeated(show, name)
     tab.locator("details").evaluate_all("all => all.forEach(details => details.open = true)")
     tab.emulate_media(media="print")
     assert tab.evaluate("document.scrollingElement.scrollWidth") <= 688
-    buttons = tab.locator("thead button").evaluate_all("all => all.map(button => getComputedStyle(button).display)")
+    buttons = tab.locator("thead button").evaluate_all(
+        "all => all.map(button => getComputedStyle(button).display)"
+    )
     assert {*buttons} == {"contents"}
 
 
@@ -159,7 +185,8 @@ def test_the_theme_can_be_changed_and_is_remembered_and_print_is_light_without_c
     tab.locator("#theme").click()
     dark = background(tab)
     assert sum(map(int, dark[4:-1].split(","))) < 3 * 64
-    # Beside other load, Chromium may hand what a page has stored to the next process after the reload, or not at all.
+    # Beside other load, Chromium may hand what a page has stored to the next process after the
+    # reload, or not at all.
     stored = tab.evaluate("JSON.stringify(localStorage)")
     tab.add_init_script(f"Object.assign(localStorage, {stored})")
     tab.reload()
@@ -174,9 +201,14 @@ def test_the_page_is_complete_without_javascript(show):
     tab = show("her_ablation", java_script_enabled=False)
     assert tab.locator("#table-headline tbody tr").count() == 20
     assert tab.locator("#theme").count() == 0
-    widths = tab.locator("figure img").evaluate_all("images => images.map(image => image.naturalWidth)")
+    widths = tab.locator("figure img").evaluate_all(
+        "images => images.map(image => image.naturalWidth)"
+    )
     assert widths == [490] * len(PICTURES)
-    assert tab.locator("#figure-pairwise img").get_attribute("alt") == "Pairwise. Each point is a seed."
+    assert (
+        tab.locator("#figure-pairwise img").get_attribute("alt")
+        == "Pairwise. Each point is a seed."
+    )
     tab.locator("#seeds summary").click()
     assert tab.locator("#table-seeds").is_visible()
     assert tab.locator("#tuning, #table-unfinished").count() == 0  # sections without data

@@ -24,7 +24,13 @@ ALGORITHMS = {"sac": [], "td3": ["algorithm=td3"]}
 
 def two_cells(output_dir):
     """Make an experiment of two cells with three seeds each."""
-    make_store(output_dir, "one", ALGORITHMS, range(3), lambda label, seed: Look(0.8 if label == "sac" else 0.2))
+    make_store(
+        output_dir,
+        "one",
+        ALGORITHMS,
+        range(3),
+        lambda label, seed: Look(0.8 if label == "sac" else 0.2),
+    )
     return output_dir
 
 
@@ -59,7 +65,10 @@ def test_a_report_has_a_page_tables_figures_and_every_number(made):
     tables = {path.name for path in (folder / "tables").iterdir()}
     assert {"headline.csv", "headline.tex", "seeds.csv", "pairs.csv", "pairs.tex"} <= tables
     numbers = stored(made)
-    assert [cell["success"]["value"] for cell in numbers["cells"]] == [pytest.approx(0.8), pytest.approx(0.2)]
+    assert [cell["success"]["value"] for cell in numbers["cells"]] == [
+        pytest.approx(0.8),
+        pytest.approx(0.2),
+    ]
     assert numbers["command"] == f"python scripts/report.py experiment=one output_dir={made}"
 
 
@@ -72,7 +81,9 @@ def test_a_report_does_not_follow_links_out_of_the_output_directory(made, tmp_pa
     path.symlink_to(target)
     folder = made if link.count("/") < 2 else made / "reports" / "one"
     done = report(made, "experiment=one", code=2)
-    assert done.stderr == f"error: {path} is a symbolic link that leads out of {folder}; remove it\n"
+    assert (
+        done.stderr == f"error: {path} is a symbolic link that leads out of {folder}; remove it\n"
+    )
     assert [file.name for file in elsewhere.iterdir()] == ["index.html"]
 
 
@@ -83,7 +94,9 @@ def test_torch_the_simulators_and_optuna_are_not_imported(made):
         "print([*{'torch', 'gymnasium', 'highway_env', 'stable_baselines3', 'optuna'} & {*sys.modules}])"
     )
     command = [sys.executable, "-c", code, f"output_dir={made}", "report.formats=[]"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=120
+    )
     assert done.stdout.splitlines()[-1] == "[]"
 
 
@@ -102,7 +115,9 @@ def test_a_new_report_replaces_the_files_of_the_last_one_and_keeps_other_files(m
 
 @pytest.fixture(scope="module")
 def behind(empty):
-    """(printed, output directory, runs) of a quick report whose store has not all that the run directories have."""
+    """(printed, output directory, runs) of a quick report whose store has not all that the run
+    directories have.
+    """
 
     def look(label, seed):
         return Look(status="done" if label == "sac" and seed != 2 else "running")
@@ -131,7 +146,12 @@ def test_a_report_sends_what_the_store_lacks_and_reads_it_there(behind):
     sac = load("one", output_dir=output_dir).runs["status"].tolist()[:4]
     assert sac == ["done", "failed", "interrupted", "done"]
     assert str(runs["sac", 3].path) in done.stderr  # it can't be sent
-    assert stored(output_dir)["cells"][0]["counts"] == {"done": 2, "running": 0, "failed": 1, "pending": 1}
+    assert stored(output_dir)["cells"][0]["counts"] == {
+        "done": 2,
+        "running": 0,
+        "failed": 1,
+        "pending": 1,
+    }
     failed, interrupted, *_ = stored(output_dir)["provenance"]["unfinished"]
     assert (failed["seed"], failed["status"], failed["reason"]) == (1, "failed", "it was killed")
     assert (interrupted["seed"], interrupted["status"]) == (2, "interrupted")
@@ -148,7 +168,9 @@ def test_hostile_names_are_text_everywhere(output_dir):
         path.write_text(yaml.safe_dump(config).ljust(path.stat().st_size, "\n"))
     done = report(output_dir, "experiment=one")
     assert all(line.isprintable() for line in (done.stdout + done.stderr).split("\n"))
-    assert done.stdout.startswith(r"“\x1b[2J\x9b31m\u202e\nerror: x, her_future” succeeds in 80.0 % [")
+    assert done.stdout.startswith(
+        r"“\x1b[2J\x9b31m\u202e\nerror: x, her_future” succeeds in 80.0 % ["
+    )
     folder = output_dir / "reports" / "one"
     page = (folder / "index.html").read_text()
     assert hostile not in page
@@ -214,7 +236,9 @@ def test_words_without_a_key_of_the_command_name_cells():
         read_overrides(["her", "cells=[x]"])
 
 
-@pytest.mark.parametrize("words", [["0.10", "1e-3"], ["0.10,1e-3"], ["cells=0.10,1e-3"], ["cells=[0.10,1e-3]"]])
+@pytest.mark.parametrize(
+    "words", [["0.10", "1e-3"], ["0.10,1e-3"], ["cells=0.10,1e-3"], ["cells=[0.10,1e-3]"]]
+)
 def test_labels_that_look_like_numbers_select_cells_as_text(words):
     (config,) = compose_configs("report", read_overrides(["experiment=a", "baseline=0.10", *words]))
     request = validate_report(config)
@@ -233,7 +257,10 @@ def test_the_report_of_an_experiment_renamed_to_a_path_stays_in_the_output_direc
 
 def test_an_experiment_has_to_be_named_if_there_are_several(made):
     make_store(made, "two", {"sac": []}, [0])
-    assert report(made, code=2).stderr == "error: experiment: the store has several; name one or more of one, two\n"
+    assert (
+        report(made, code=2).stderr
+        == "error: experiment: the store has several; name one or more of one, two\n"
+    )
 
 
 def test_a_store_given_by_its_uri_is_only_read(output_dir, tmp_path):
@@ -243,4 +270,9 @@ def test_a_store_given_by_its_uri_is_only_read(output_dir, tmp_path):
     before = (output_dir / "mlflow.db").read_bytes()
     report(tmp_path, "experiment=one", "report=quick", f"tracking.uri={uri}")
     assert (output_dir / "mlflow.db").read_bytes() == before
-    assert stored(tmp_path)["cells"][0]["counts"] == {"done": 2, "running": 0, "failed": 0, "pending": 0}
+    assert stored(tmp_path)["cells"][0]["counts"] == {
+        "done": 2,
+        "running": 0,
+        "failed": 0,
+        "pending": 0,
+    }

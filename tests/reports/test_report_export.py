@@ -44,7 +44,9 @@ def store(empty):
 @pytest.fixture(scope="module")
 def source(store):
     results = load("one", output_dir=store)
-    return ReportSource(replace(results, problems=(f"The store lacks {store}/x: no.", *results.problems)), ["one"])
+    return ReportSource(
+        replace(results, problems=(f"The store lacks {store}/x: no.", *results.problems)), ["one"]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,10 +65,16 @@ def differences(value, other, key=""):
     """Keys at which two JSON values differ by more than rounding does."""
     if isinstance(value, dict):
         assert value.keys() == other.keys(), key
-        return [differing for name in value for differing in differences(value[name], other[name], name)]
+        return [
+            differing for name in value for differing in differences(value[name], other[name], name)
+        ]
     if isinstance(value, list | tuple):
         assert len(value) == len(other), key
-        return [differing for a, b in zip(value, other, strict=True) for differing in differences(a, b, key)]
+        return [
+            differing
+            for a, b in zip(value, other, strict=True)
+            for differing in differences(a, b, key)
+        ]
     if isinstance(value, float) and isinstance(other, float):
         return [] if value == pytest.approx(other, rel=1e-3, abs=1e-5) else [key]
     return [] if value == other else [key]
@@ -74,12 +82,18 @@ def differences(value, other, key=""):
 
 def test_a_report_from_an_export_differs_in_places_and_rounding_only(source, store, folder):
     from_store, from_export = report_of(source), report_of(read_report_export(str(folder)))
-    contents = [replace(report, warnings=[], made="").plain() for report in (from_store, from_export)]
+    contents = [
+        replace(report, warnings=[], made="").plain() for report in (from_store, from_export)
+    ]
     assert set(differences(*contents)) == {"uri", "run_dir", "reason"}
     assert from_export.provenance.uri == str(folder)
-    assert [run.reason for run in from_export.provenance.unfinished if run.status == "failed"] == ["no file x.zip"]
+    assert [run.reason for run in from_export.provenance.unfinished if run.status == "failed"] == [
+        "no file x.zip"
+    ]
     assert f"The store lacks {store}/x: no." in from_store.warnings
-    assert sorted(from_export.warnings) == sorted(text.replace(f"{store}/x", "x") for text in from_store.warnings)
+    assert sorted(from_export.warnings) == sorted(
+        text.replace(f"{store}/x", "x") for text in from_store.warnings
+    )
 
 
 def test_an_export_names_no_absolute_path(folder):
@@ -100,9 +114,16 @@ def test_an_export_of_some_cells_has_no_others(source, folder, tmp_path):
 
 
 def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
-    kind = {"name": "FloatDistribution", "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None}}
-    trial = TrialRow(0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"])
-    search = Tuning("one", "tpe", None, 2, "success_auc", 2, {"algorithm.gamma": kind}, [trial], retested=[])
+    kind = {
+        "name": "FloatDistribution",
+        "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None},
+    }
+    trial = TrialRow(
+        0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"]
+    )
+    search = Tuning(
+        "one", "tpe", None, 2, "success_auc", 2, {"algorithm.gamma": kind}, [trial], retested=[]
+    )
     data = add_tuning(report_of(source), search)
     write_report_export(source, data, tmp_path / "one", only_cells=False)
     export = read_report_export(str(tmp_path / "one"))
@@ -121,9 +142,13 @@ def test_an_export_without_a_report_is_a_sentence(folder, tmp_path):
 
 def test_the_command_writes_an_export_and_reports_on_it_without_a_store(output_dir, tmp_path):
     cells = {"sac": [], "td3": ["algorithm=td3"]}
-    make_store(output_dir, "one", cells, range(3), lambda label, _: Look(0.8 if label == "sac" else 0.2))
+    make_store(
+        output_dir, "one", cells, range(3), lambda label, _: Look(0.8 if label == "sac" else 0.2)
+    )
     options = ["baseline=td3", "report.formats=[]"]
-    from_store = report(output_dir, "experiment=one", "export=docs/results/own name", *options).stdout.splitlines()
+    from_store = report(
+        output_dir, "experiment=one", "export=docs/results/own name", *options
+    ).stdout.splitlines()
     folder = output_dir / "docs" / "results" / "own name"
     assert f"export         {folder}" in from_store
     shutil.copytree(folder, tmp_path / "theirs")

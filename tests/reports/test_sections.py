@@ -6,7 +6,13 @@ from parking_exp.figure_style import new_figure
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import Figure, Section, draw, section_contents, sections_of
-from parking_exp.reports.tables.table import Table, cell_column, cell_record, interval_column, spread
+from parking_exp.reports.tables.table import (
+    Table,
+    cell_column,
+    cell_record,
+    interval_column,
+    spread,
+)
 
 
 def timeouts(report):
@@ -19,7 +25,9 @@ def timeouts(report):
 def timeout_bars(report):
     """Draw a bar for each cell."""
     figure = new_figure(1.5)
-    figure.subplots().bar(range(len(report.cells)), [100 * cell.timeout.value for cell in report.cells])
+    figure.subplots().bar(
+        range(len(report.cells)), [100 * cell.timeout.value for cell in report.cells]
+    )
     yield figure, "Timeouts of each cell, in % of the episodes."
 
 
@@ -34,7 +42,9 @@ SLOW = Section(
 
 def test_a_new_section_is_one_entry_of_the_list(tmp_path):
     report = report_factory.report(2, 3)
-    contents = section_contents(report, draw(report, tmp_path, ["png"], [SLOW]), [*sections_of(report), SLOW])
+    contents = section_contents(
+        report, draw(report, tmp_path, ["png"], [SLOW]), [*sections_of(report), SLOW]
+    )
     html = render_page(report, contents)
     for part in (
         '<a href="#slow">',
@@ -50,5 +60,7 @@ def test_a_new_section_is_one_entry_of_the_list(tmp_path):
 
 def test_a_section_without_anything_to_say_is_left_out():
     report = report_factory.one_seed()
-    contents = section_contents(report, sections=[Section("empty", "Nothing", tables=[lambda report: []])])
+    contents = section_contents(
+        report, sections=[Section("empty", "Nothing", tables=[lambda report: []])]
+    )
     assert "Nothing" not in render_page(report, contents)

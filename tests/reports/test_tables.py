@@ -20,7 +20,10 @@ from parking_exp.statistics import Interval
 def written(report, folder):
     """Write the tables of a report; return the rows of each CSV by name."""
     write_tables(section_contents(report), folder)
-    return {path.stem: list(csv.DictReader(path.open(encoding="utf-8", newline=""))) for path in folder.glob("*.csv")}
+    return {
+        path.stem: list(csv.DictReader(path.open(encoding="utf-8", newline="")))
+        for path in folder.glob("*.csv")
+    }
 
 
 def unescaped(text, characters):
@@ -67,17 +70,31 @@ def test_tables_have_every_number(tmp_path):
         "common": 7,
     }
     headline = tables["headline"]
-    assert [float(row["success"]) for row in headline] == pytest.approx([cell.success.value for cell in report.cells])
-    assert (headline[0]["label"], headline[0]["seeds"], headline[0]["runs_done"]) == (report.cells[0].label, "10", "10")
+    assert [float(row["success"]) for row in headline] == pytest.approx(
+        [cell.success.value for cell in report.cells]
+    )
+    assert (headline[0]["label"], headline[0]["seeds"], headline[0]["runs_done"]) == (
+        report.cells[0].label,
+        "10",
+        "10",
+    )
 
 
 def test_conditions_that_are_the_same_in_every_row_are_in_the_caption():
     report = report_factory.her_ablation()
-    tables = {table.name: table for content in section_contents(report) for table in content.readable_tables}
+    tables = {
+        table.name: table
+        for content in section_contents(report)
+        for table in content.readable_tables
+    }
     titles = {name: [column.title for column in table.columns] for name, table in tables.items()}
-    assert tables["headline"].caption.endswith(" Seeds in every row: 10. Env steps in every row: 40,000.")
+    assert tables["headline"].caption.endswith(
+        " Seeds in every row: 10. Env steps in every row: 40,000."
+    )
     assert not {"Seeds", "Env steps"} & {*titles["headline"]}
-    assert tables["pairs"].caption.endswith(f" B in every row: {report.cell(report.reference).label}.")
+    assert tables["pairs"].caption.endswith(
+        f" B in every row: {report.cell(report.reference).label}."
+    )
     assert (titles["pairs"][:2], "Episodes" in titles["seeds"]) == (["A", "A − B (points)"], False)  # noqa: RUF001
     mixed = [replace(cell, total_timesteps=n) for n, cell in enumerate(report.cells)]
     contents = section_contents(replace(report, cells=mixed))
@@ -103,7 +120,11 @@ def test_unknown_numbers_are_empty(tmp_path):
     empty = ("success", "success_low", "survival_median", "lowest", "iqm", "reaching_95_low")
     assert [rows[2][name] for name in empty] == [""] * len(empty)
     assert (rows[2]["runs_failed"], rows[0]["reaching_95_k"]) == ("10", "10")
-    failed = [line for line in (tmp_path / "headline.tex").read_text().splitlines() if line.startswith("ddpg")]
+    failed = [
+        line
+        for line in (tmp_path / "headline.tex").read_text().splitlines()
+        if line.startswith("ddpg")
+    ]
     assert failed == [r"ddpg & 0 of 10 & -- & -- & -- & -- \\", r"ddpg & -- & -- \\"]
     assert len(tables["unfinished"]) == 10
 
@@ -120,7 +141,9 @@ def test_pandas_and_latex_read_the_files(example, tmp_path):
         assert "nan" not in path.read_text(encoding="utf-8").replace("is nan", "")
     for path in tmp_path.glob("*.tex"):
         text = path.read_text(encoding="utf-8")
-        parts = re.findall(r"\\begin\{(?:long)?table\}.*?\\end\{(?:long)?table\}", text, flags=re.DOTALL)
+        parts = re.findall(
+            r"\\begin\{(?:long)?table\}.*?\\end\{(?:long)?table\}", text, flags=re.DOTALL
+        )
         assert len(parts) == text.count(r"\caption{") > 0
         for part in parts:
             assert not unescaped(re.search(r"\\caption\{(.*)\}\\label", part)[1], "%#_&")
@@ -139,13 +162,16 @@ def long_names(n_cells):
         for n in range(n_cells)
     ]
     report = report_factory.report(n_cells, 2, labels=names)
-    difference = {f"algorithm.policy_kwargs.key_{n}": names for n in range(n_cells + 1)}  # a column for each cell
+    difference = {
+        f"algorithm.policy_kwargs.key_{n}": names for n in range(n_cells + 1)
+    }  # a column for each cell
     return replace(report, provenance=replace(report.provenance, difference=difference))
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(
-    shutil.which("pdflatex") is None, reason="pdflatex is not installed: apt-get install texlive-latex-base"
+    shutil.which("pdflatex") is None,
+    reason="pdflatex is not installed: apt-get install texlive-latex-base",
 )
 @pytest.mark.parametrize("size", ["10pt", "12pt"])
 @pytest.mark.parametrize(
@@ -163,18 +189,30 @@ def test_latex_tables_fit_an_article(example, size, tmp_path):
     write_tables(section_contents(example()), tmp_path)
     inputs = [rf"\input{{{path.name}}}" for path in sorted(tmp_path.glob("*.tex"))]
     packages = r"\usepackage{array,booktabs,longtable}"
-    lines = [rf"\documentclass[{size}]{{article}}", packages, r"\begin{document}", *inputs, r"\end{document}"]
+    lines = [
+        rf"\documentclass[{size}]{{article}}",
+        packages,
+        r"\begin{document}",
+        *inputs,
+        r"\end{document}",
+    ]
     (tmp_path / "paper.tex").write_text("\n".join(lines))
     for _ in range(2):  # a longtable knows its widths after the first time
         command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, errors="replace", check=False)
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, errors="replace", check=False
+        )
         assert done.returncode == 0, done.stdout[-2000:]
-    assert [line for line in done.stdout.splitlines() if "Overfull" in line or "too large" in line] == []
+    assert [
+        line for line in done.stdout.splitlines() if "Overfull" in line or "too large" in line
+    ] == []
 
 
 def test_a_long_latex_table_is_split_over_pages_and_a_wide_one_into_parts(tmp_path):
     write_tables(section_contents(long_names(12)), tmp_path)
-    pairs, config, headline = ((tmp_path / f"{name}.tex").read_text() for name in ("pairs", "config", "headline"))
+    pairs, config, headline = (
+        (tmp_path / f"{name}.tex").read_text() for name in ("pairs", "config", "headline")
+    )
     n_parts = pairs.count(r"\caption{")
     assert pairs.count(r"\begin{longtable}") == pairs.count(r"\endhead") == n_parts
     assert r"\begin{table}" not in pairs

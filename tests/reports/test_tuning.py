@@ -14,9 +14,19 @@ from support import report_factory
 from support.searches import settings
 
 from parking_exp.errors import ResultsError
-from parking_exp.reports.figures.study_figures import MIN_TRIALS, draw_parameter_importance, rebuild_study
+from parking_exp.reports.figures.study_figures import (
+    MIN_TRIALS,
+    draw_parameter_importance,
+    rebuild_study,
+)
 from parking_exp.reports.report_files import write_tables
-from parking_exp.reports.search_report import Tuning, add_search, add_tuning, describe_search, read_tuning
+from parking_exp.reports.search_report import (
+    Tuning,
+    add_search,
+    add_tuning,
+    describe_search,
+    read_tuning,
+)
 from parking_exp.reports.sections import SECTIONS, draw, section_contents
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import SeedRates, compare, mean_interval
@@ -56,19 +66,30 @@ def tuning(folder, trials):
     """What a report has of a search with these trials."""
     study = optuna.create_study(direction="maximize")
     study.add_trials(trials)
-    return read_tuning(folder, StoredSearch(settings(), len(trials), study, read_trials(study, folder, len(trials))))
+    return read_tuning(
+        folder,
+        StoredSearch(settings(), len(trials), study, read_trials(study, folder, len(trials))),
+    )
 
 
 def many(folder):
     """A search whose values follow from the learning rate alone."""
     buffers = ("her_future", "replay")
-    return tuning(folder, [trial(k / 20, rate=10 ** (-4 + k / 10), buffer=buffers[k % 2]) for k in range(20)])
+    return tuning(
+        folder, [trial(k / 20, rate=10 ** (-4 + k / 10), buffer=buffers[k % 2]) for k in range(20)]
+    )
 
 
 def write_retest(folder, *trials):
     """Write `retest.json`: number, values on tuning seeds, values on test seeds."""
     items = [
-        {"number": number, "label": f"trial {number}: unchanged", "changes": {}, "tuning": tuned, "test": test}
+        {
+            "number": number,
+            "label": f"trial {number}: unchanged",
+            "changes": {},
+            "tuning": tuned,
+            "test": test,
+        }
         for number, tuned, test in trials
     ]
     write_json(folder / "retest.json", {"objective": "success_auc", "trials": items})
@@ -117,7 +138,9 @@ def report(*experiments, tuning=None):
 def written(whole, folder):
     """The rows of the tables of a search, by file."""
     write_tables(section_contents(whole, sections=OWN), folder)
-    return {path.stem: [*csv.DictReader(path.read_text().splitlines())] for path in folder.glob("*.csv")}
+    return {
+        path.stem: [*csv.DictReader(path.read_text().splitlines())] for path in folder.glob("*.csv")
+    }
 
 
 def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
@@ -143,13 +166,27 @@ def test_retrained_trials_have_intervals_and_so_has_tuning_minus_test(folder, tm
     tuned, test = [0.9, 0.8], [0.7, 0.6, 0.8]
     write_retest(folder, (1, tuned, test), (0, [0.5, 0.4], [0.5, 0.4, 0.6]))
     whole = report(tuning=tuning(folder, [trial(0.45), trial(0.85)]))
-    assert whole.claims[0].startswith("On 3 test seeds, “trial 1: unchanged” is the best of 2 retrained trials: ")
-    assert "success_auc 70.0 % [" in whole.claims[0] and "tuning minus test +15.0 points [" in whole.claims[0]
+    assert whole.claims[0].startswith(
+        "On 3 test seeds, “trial 1: unchanged” is the best of 2 retrained trials: "
+    )
+    assert (
+        "success_auc 70.0 % [" in whole.claims[0]
+        and "tuning minus test +15.0 points [" in whole.claims[0]
+    )
     assert whole.warnings[-1].endswith("; compare the trials retrained on test seeds.")
     best, other = written(whole, tmp_path / "tables")["retest"]
-    assert (best["number"], best["n_tuning"], best["n_test"], other["number"]) == ("1", "2", "3", "0")
+    assert (best["number"], best["n_tuning"], best["n_test"], other["number"]) == (
+        "1",
+        "2",
+        "3",
+        "0",
+    )
     (difference,) = compare([([SeedRates(tuned)], [SeedRates(test)])])
-    intervals = {"tuning": mean_interval(tuned), "test": mean_interval(test), "difference": difference}
+    intervals = {
+        "tuning": mean_interval(tuned),
+        "test": mean_interval(test),
+        "difference": difference,
+    }
     for name, interval in intervals.items():
         numbers = [float(best[column]) for column in (name, f"{name}_low", f"{name}_high")]
         assert numbers == pytest.approx([interval.value, interval.low, interval.high])
@@ -171,7 +208,10 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
 
 def test_a_search_of_an_export_that_does_not_fit_together_gets_a_sentence(folder, tmp_path):
     search = tuning(folder, [trial(0.5), trial(0.6, rate=2e-3)])
-    wrong = {**search.parameters, "algorithm.learning_rate": {"name": "os.system", "attributes": {}}}
+    wrong = {
+        **search.parameters,
+        "algorithm.learning_rate": {"name": "os.system", "attributes": {}},
+    }
     with pytest.raises(ResultsError, match="the search of smoke"):
         draw(report(tuning=replace(search, parameters=wrong)), tmp_path, [], OWN)
 
@@ -181,7 +221,9 @@ def test_without_a_search_there_is_nothing_of_it(tmp_path):
     (tmp_path / "one").mkdir()
     assert add_search(plain, tmp_path) == plain
     assert draw(plain, tmp_path, [], OWN) == []
-    assert not any(content.tables or [*content.text] for content in section_contents(plain, sections=OWN))
+    assert not any(
+        content.tables or [*content.text] for content in section_contents(plain, sections=OWN)
+    )
 
 
 def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):

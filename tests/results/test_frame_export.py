@@ -21,9 +21,18 @@ from parking_exp.results.frame_export import FILES, LOCAL_COLUMNS, without_paths
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 HOSTILE = 'a,b "c"\nd\re <script>'
 LOOKS = {
-    ("four", 0): Look(success=0.8, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), cpu_s=1234.56789),
-    ("four", 1): Look(status="failed", error="no file /home/some.one/data/x.zip: (see sqlite:////tmp/r/mlflow.db)"),
-    ("none", 0): Look(success=1.0, crash=0.0, tags={"cpu": "Zürich 学習", "git_dirty": None}, nan=["eval/return_mean"]),
+    ("four", 0): Look(
+        success=0.8, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), cpu_s=1234.56789
+    ),
+    ("four", 1): Look(
+        status="failed", error="no file /home/some.one/data/x.zip: (see sqlite:////tmp/r/mlflow.db)"
+    ),
+    ("none", 0): Look(
+        success=1.0,
+        crash=0.0,
+        tags={"cpu": "Zürich 学習", "git_dirty": None},
+        nan=["eval/return_mean"],
+    ),
     ("none", 1): Look(status="running"),
 }
 SETTINGS = {
@@ -55,16 +64,23 @@ def edit(path, old, new):
     path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
 
 
-def test_an_export_has_no_metrics_of_other_tasks_and_reading_gives_their_columns_back(stored, tmp_path):
+def test_an_export_has_no_metrics_of_other_tasks_and_reading_gives_their_columns_back(
+    stored, tmp_path
+):
     of_parking = ["crash_rate", "parked_rate"]
     own = replace(
         stored,
         runs=stored.runs.assign(
-            failure_rate=stored.runs["crash_rate"], crash_rate=float("nan"), parked_rate=float("nan")
+            failure_rate=stored.runs["crash_rate"],
+            crash_rate=float("nan"),
+            parked_rate=float("nan"),
         ),
         curves=stored.curves.assign(crash_rate=float("nan"), parked_rate=float("nan")),
     )
-    for results, absent, present in ((stored, ["failure_rate"], of_parking), (own, of_parking, ["success_rate"])):
+    for results, absent, present in (
+        (stored, ["failure_rate"], of_parking),
+        (own, of_parking, ["success_rate"]),
+    ):
         folder = write_export(results, tmp_path / present[0])
         for name in ("runs.csv.gz", "curves.csv.gz"):
             columns = [*pd.read_csv(folder / name)]
@@ -81,9 +97,15 @@ def test_runs_come_back_with_their_types_and_without_places(stored, written):
     assert places == list(LOCAL_COLUMNS)
     assert runs[["run_dir", "artifact_uri"]].isna().all(axis=None)
     assert not {"config.output_dir", "config.tracking.uri"} & {*runs}
-    texts = ["error", "config.x.path", "config.x.empty"]  # paths are cut, and an empty text is missing
+    texts = [
+        "error",
+        "config.x.path",
+        "config.x.empty",
+    ]  # paths are cut, and an empty text is missing
     pd.testing.assert_frame_equal(
-        runs.drop(columns=["run_dir", "artifact_uri", *texts]), stored.runs.drop(columns=[*places, *texts]), rtol=1e-5
+        runs.drop(columns=["run_dir", "artifact_uri", *texts]),
+        stored.runs.drop(columns=[*places, *texts]),
+        rtol=1e-5,
     )
     assert runs["config.x.whole"].tolist() == [3, 3, None, None]
     assert runs["config.x.flag"].tolist() == [True, True, None, None]
@@ -134,7 +156,9 @@ def test_no_file_of_an_export_names_a_place_on_the_machine(stored, written):
 
 def test_a_folder_with_other_files_is_refused_and_left_alone(stored, tmp_path):
     (tmp_path / "notes.txt").write_text("content")
-    with pytest.raises(ConfigError, match=r"it holds other files, e\.g\. notes\.txt; name a folder of its own"):
+    with pytest.raises(
+        ConfigError, match=r"it holds other files, e\.g\. notes\.txt; name a folder of its own"
+    ):
         write_export(stored, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
     with pytest.raises(ConfigError, match="a file is in the way"):
@@ -182,16 +206,22 @@ def test_rows_of_runs_that_an_export_does_not_have_are_left_out(written):
     edit(written / "curves.csv.gz", "\n", "\nx")
     edit(written / "outcomes.csv.gz", "scene,", "scene,x")
     results = read_export(written)
-    assert set(results.curves["run_id"]) | set(results.episodes["run_id"]) <= set(results.runs["run_id"])
+    assert set(results.curves["run_id"]) | set(results.episodes["run_id"]) <= set(
+        results.runs["run_id"]
+    )
 
 
 LABELS = ["0.10", "1e-3", "True", "None", "nan", "2024_11", '"quoted"', "her /no noise", "a/b /c d"]
 
 
-def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports(output_dir, tmp_path):
+def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports(
+    output_dir, tmp_path
+):
     contrasts = [["her /no noise", "0.10"]]
     cells = {
-        label: compose().model_copy(update={"label": label, "contrasts": contrasts, "torch_threads": number})
+        label: compose().model_copy(
+            update={"label": label, "contrasts": contrasts, "torch_threads": number}
+        )
         for number, label in enumerate(LABELS, 1)
     }
     words = {label: {"word": label, "number": 0.1} for label in LABELS}

@@ -73,7 +73,9 @@ def test_frames_have_the_columns_and_types_of_the_schema(ablation):
     others = [name for name in results.runs.columns if name not in frames.RUN_TYPES]
     assert all(name.startswith(("version.", "config.")) for name in others)
     assert (
-        [*results.episodes.columns] == ["run_id", *EPISODES] == ["run_id", "phase", "step", *episode_columns(METRICS)]
+        [*results.episodes.columns]
+        == ["run_id", *EPISODES]
+        == ["run_id", "phase", "step", *episode_columns(METRICS)]
     )
     types = {name: str(dtype) for name, dtype in results.runs.dtypes.items()}
     expected = {
@@ -118,8 +120,13 @@ def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):
     damaged = ["", header + line[:20], header + line.replace("success", "glory"), header + line.replace("9", "nine"),
                header.replace("scene", "start") + line, header + line.replace("0,success", "-1,success"),
                "\udcff\udcfe\n"]  # fmt: skip
-    fewer_columns, more_columns = "phase,step,scene,outcome\ncertified,400,0,success\n", f"note,{header}x,{line}"
-    contents = [text.encode(errors="surrogateescape") for text in (*damaged, fewer_columns, more_columns)]
+    fewer_columns, more_columns = (
+        "phase,step,scene,outcome\ncertified,400,0,success\n",
+        f"note,{header}x,{line}",
+    )
+    contents = [
+        text.encode(errors="surrogateescape") for text in (*damaged, fewer_columns, more_columns)
+    ]
     looks = [Look(contents={"episodes.csv": content}) for content in contents]
     looks += [Look(missing=["episodes.csv"]), Look()]
     made = make_store(output_dir, "e", {"": []}, range(len(looks)), lambda _, seed: looks[seed])
@@ -131,15 +138,31 @@ def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):
     fewer, more, no_log = (made["", seed].run_id for seed in (7, 8, 10))
     assert set(by_run) == {fewer, more, no_log}
     episode = by_run[more].iloc[0]
-    assert episode[["phase", "outcome", "steps", "return"]].tolist() == ["certified", "success", 9, -1.5]
+    assert episode[["phase", "outcome", "steps", "return"]].tolist() == [
+        "certified",
+        "success",
+        9,
+        -1.5,
+    ]
     assert by_run[fewer][["parked", "steps", "distance_m"]].isna().all(axis=None)
-    pattern = rf"run \w+ \({results.runs['cell'][0]}, seed (\d+)\): (\S+) (is missing|can't be read: ).*"
+    pattern = (
+        rf"run \w+ \({results.runs['cell'][0]}, seed (\d+)\): (\S+) (is missing|can't be read: ).*"
+    )
     problems = [re.fullmatch(pattern, problem).groups()[:2] for problem in results.problems]
-    assert problems == [("10", "metrics.jsonl"), *((str(seed), "episodes.csv") for seed in (*range(7), 9))]
+    assert problems == [
+        ("10", "metrics.jsonl"),
+        *((str(seed), "episodes.csv") for seed in (*range(7), 9)),
+    ]
 
 
 def test_a_damaged_config_is_a_problem_of_its_run_alone(output_dir):
-    contents = [b"", b"a: [", b"# " + b"x" * 2**20, b"a: &a 1\nb: *a", b"total_timesteps: many\nseed: 4"]
+    contents = [
+        b"",
+        b"a: [",
+        b"# " + b"x" * 2**20,
+        b"a: &a 1\nb: *a",
+        b"total_timesteps: many\nseed: 4",
+    ]
     made = make_store(output_dir, "e", {"": []}, range(len(contents) + 1))
     for seed, content in enumerate(contents):
         artifacts = output_dir / "mlflow-artifacts" / "e" / made["", seed].run_id / "artifacts"
@@ -167,7 +190,11 @@ def test_runs_that_are_not_done_have_what_they_came_to_and_no_final_numbers(abla
     assert steps[made["four", 2].run_id] == steps[made["none", 1].run_id] == [100, 200]
     assert made["none", 2].run_id not in steps
     counts = results.episodes["run_id"].value_counts()
-    assert [counts[made[key].run_id] for key in (("four", 2), ("none", 1), ("none", 2))] == [2 * 3, 0, 0]
+    assert [counts[made[key].run_id] for key in (("four", 2), ("none", 1), ("none", 2))] == [
+        2 * 3,
+        0,
+        0,
+    ]
     assert results.problems == ()
 
 
@@ -181,7 +208,11 @@ def test_runs_of_others_and_deleted_ones_are_left_out(output_dir):
     client.delete_run(made["", 1].run_id)
     results = load("e", output_dir=output_dir)
     assert list(results.runs["run_id"]) == [made["", 0].run_id]
-    assert set(results.curves["run_id"]) == set(results.runs["run_id"]) == set(results.episodes["run_id"])
+    assert (
+        set(results.curves["run_id"])
+        == set(results.runs["run_id"])
+        == set(results.episodes["run_id"])
+    )
 
 
 def test_a_run_that_was_stored_twice_is_a_problem(output_dir, tmp_path):
@@ -199,11 +230,15 @@ def test_a_missing_store_is_not_made(tmp_path):
 
 
 def test_an_unreadable_store_is_a_sentence(tmp_path):
-    (tmp_path / "mlflow.db").write_text(text := "this is not a database, and it is long enough to be looked at " * 20)
+    (tmp_path / "mlflow.db").write_text(
+        text := "this is not a database, and it is long enough to be looked at " * 20
+    )
     with pytest.raises(ResultsError, match="can't be read: file is not a database"):
         load("her", output_dir=tmp_path)
     assert (tmp_path / "mlflow.db").read_text() == text
-    refused = pytest.raises(ResultsError, match=r"http://127\S+ can't be read: .*Connection refused")
+    refused = pytest.raises(
+        ResultsError, match=r"http://127\S+ can't be read: .*Connection refused"
+    )
     with closed_port() as port, refused:
         load("her", uri=f"http://127.0.0.1:{port}")
 
@@ -229,23 +264,37 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
         for key, value in record["metrics"].items():
             metrics.setdefault(key, {})[record["step"]] = value
     run, config = row(results.runs, directory), directory.config()
-    assert (run["status"], run["seed"], run["cell"], run["steps"]) == ("done", config.seed, config.cell, 400)
+    assert (run["status"], run["seed"], run["cell"], run["steps"]) == (
+        "done",
+        config.seed,
+        config.cell,
+        400,
+    )
     for key, name in {**frames.FINAL, **frames.COST}.items():
         assert run[name] == metrics[key][400] if key in metrics else np.isnan(run[name])
     assert results.curves["failure_rate"].isna().all()  # of other tasks
-    for key, name in {**{key: name for key, name in CURVE.items() if key in metrics}, "time/cpu_s": "cpu_s"}.items():
+    for key, name in {
+        **{key: name for key, name in CURVE.items() if key in metrics},
+        "time/cpu_s": "cpu_s",
+    }.items():
         assert dict(zip(results.curves["step"], results.curves[name], strict=True)) == {
             step: metrics[key][step] for step in metrics["eval/success_rate"]
         }
     stored = results.episodes.drop(columns="run_id")
-    pd.testing.assert_frame_equal(stored, pd.read_csv(directory.path / "episodes.csv").astype(EPISODES))
+    pd.testing.assert_frame_equal(
+        stored, pd.read_csv(directory.path / "episodes.csv").astype(EPISODES)
+    )
     assert run["config.total_timesteps"] == 400
     assert results.problems == ()
 
 
 @needs_server
 def test_a_server_gives_the_same_frames_as_an_embedded_store(tmp_path, capfd):
-    looks = {**LOOKS, ("four", 1): Look(missing=["episodes.csv"]), ("none", 0): Look(nan=["eval/return_mean"])}
+    looks = {
+        **LOOKS,
+        ("four", 1): Look(missing=["episodes.csv"]),
+        ("none", 0): Look(nan=["eval/return_mean"]),
+    }
     make_store(tmp_path / "local", "her", HER, range(3), lambda *key: looks[key])
     local = load("her", output_dir=tmp_path / "local")
     capfd.readouterr()
@@ -256,16 +305,33 @@ def test_a_server_gives_the_same_frames_as_an_embedded_store(tmp_path, capfd):
         results = load("her", uri=uri)
         assert capfd.readouterr() == ("", "")  # no progress bars of downloads
         assert results.runs["artifact_uri"].str.startswith("mlflow-artifacts:").all()
-        places = ["run_id", "run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri", "ended"]
-        pd.testing.assert_frame_equal(results.runs.drop(columns=places), local.runs.drop(columns=places))
+        places = [
+            "run_id",
+            "run_dir",
+            "artifact_uri",
+            "config.output_dir",
+            "config.tracking.uri",
+            "ended",
+        ]
+        pd.testing.assert_frame_equal(
+            results.runs.drop(columns=places), local.runs.drop(columns=places)
+        )
         for name in ("curves", "episodes"):
-            pd.testing.assert_frame_equal(by_cell_and_seed(results, name), by_cell_and_seed(local, name))
-        assert [problem.partition("episodes.csv ")[2] for problem in results.problems] == ["is missing in the store"]
+            pd.testing.assert_frame_equal(
+                by_cell_and_seed(results, name), by_cell_and_seed(local, name)
+            )
+        assert [problem.partition("episodes.csv ")[2] for problem in results.problems] == [
+            "is missing in the store"
+        ]
 
 
 def by_cell_and_seed(results, name):
     """A frame in which cell and seed stand for the run."""
-    known = results.runs.set_index("run_id")["cell"] + " " + results.runs.set_index("run_id")["seed"].astype(str)
+    known = (
+        results.runs.set_index("run_id")["cell"]
+        + " "
+        + results.runs.set_index("run_id")["seed"].astype(str)
+    )
     frame = getattr(results, name)
     frame = frame.assign(run_id=frame["run_id"].astype(str).map(known))
     return frame.sort_values(["run_id", "step"], kind="stable", ignore_index=True)

@@ -1,4 +1,6 @@
-"""Files that others may have put into an output directory: pipes, loops of links, bombs, sparse files."""
+"""Files that others may have put into an output directory: pipes, loops of links, bombs, sparse
+files.
+"""
 
 import os
 
@@ -25,7 +27,16 @@ from parking_exp.tracking.mirror import mirror_missing
 from parking_exp.tracking.store import Store
 
 BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [{', '.join([f'*{a}'] * 20)}]\n" for a, b in zip("abcdefg", "bcdefgh", strict=True))  # fmt: skip
-NAMES = ["status.json", "config.yaml", "result.json", "beat.json", "metrics.jsonl", "models", "curves.png", ".claim"]
+NAMES = [
+    "status.json",
+    "config.yaml",
+    "result.json",
+    "beat.json",
+    "metrics.jsonl",
+    "models",
+    "curves.png",
+    ".claim",
+]
 
 
 def replace_by_pipe(path):
@@ -48,7 +59,9 @@ def test_a_pipe_in_place_of_a_file_is_not_sent(tmp_path):
     replace_by_pipe(directory.path / "curves.png")
     store = Store(default_uri(tmp_path), tmp_path)
     ((_, problem),) = mirror_missing([directory], store)
-    assert problem == f"{directory.path / 'curves.png'} is neither a file nor a directory; remove it"
+    assert (
+        problem == f"{directory.path / 'curves.png'} is neither a file nor a directory; remove it"
+    )
 
 
 @pytest.mark.parametrize("name", ["status.json", "config.yaml", "models"])
@@ -56,7 +69,9 @@ def test_a_link_to_itself_is_refused_in_a_sentence(tmp_path, name):
     directory = finished_run(tmp_path)
     (directory.path / name).unlink(missing_ok=True)
     (directory.path / name).symlink_to(name)
-    with pytest.raises(UntrustedError, match=f"{name} is a symbolic link that leads nowhere; remove it"):
+    with pytest.raises(
+        UntrustedError, match=f"{name} is a symbolic link that leads nowhere; remove it"
+    ):
         directory.check_links()
 
 
@@ -66,7 +81,9 @@ def test_a_bomb_of_aliases_is_refused(tmp_path):
         read_config(tmp_path, tmp_path)
 
 
-@pytest.mark.parametrize(("limit", "name"), [(MAX_JSON, "status.json"), (MAX_SMALL, "config.yaml"), (MAX_LARGE, "x")])
+@pytest.mark.parametrize(
+    ("limit", "name"), [(MAX_JSON, "status.json"), (MAX_SMALL, "config.yaml"), (MAX_LARGE, "x")]
+)
 def test_no_more_is_read_than_a_file_can_have(tmp_path, limit, name):
     path = tmp_path / name
     with path.open("wb") as file:
@@ -75,7 +92,9 @@ def test_no_more_is_read_than_a_file_can_have(tmp_path, limit, name):
         read_file(path, limit)
     assert read_object(path) == {}
     if name == "config.yaml":
-        with pytest.raises(ConfigError, match=r"config.yaml can't be read: It has more than 1,048,576 bytes$"):
+        with pytest.raises(
+            ConfigError, match=r"config.yaml can't be read: It has more than 1,048,576 bytes$"
+        ):
             read_config(tmp_path, tmp_path)
 
 
@@ -102,7 +121,10 @@ def test_the_next_write_removes_what_a_killed_process_left_and_nothing_else(tmp_
     assert len([*tmp_path.glob(".tmp-*")]) == 1
     (tmp_path / ".tmp-otherhost-1-rates.json").touch()
     write_json(tmp_path / "rates.json", {})
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".tmp-otherhost-1-rates.json", "rates.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        ".tmp-otherhost-1-rates.json",
+        "rates.json",
+    ]
 
 
 def test_processes_that_write_into_one_folder_at_once_do_not_disturb_each_other(tmp_path):

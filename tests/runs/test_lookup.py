@@ -12,7 +12,9 @@ from parking_exp.runs.lookup import find_run
 
 @pytest.fixture
 def output_dir(tmp_path):
-    """An output directory with two runs of an experiment: the one worked on last has no model yet."""
+    """An output directory with two runs of an experiment: the one worked on last has no model
+    yet.
+    """
     for seed in (0, 1):
         run = tmp_path / "outputs" / "sweep" / "cell" / f"seed={seed}"
         (run / "models").mkdir(parents=True)
@@ -33,7 +35,9 @@ def test_a_run_is_found_by_its_directory(output_dir):
     assert find_run(str(path), output_dir, having="x").path == path
 
 
-def test_latest_is_the_run_whose_model_was_written_last_even_if_another_was_synced_since(output_dir):
+def test_latest_is_the_run_whose_model_was_written_last_even_if_another_was_synced_since(
+    output_dir,
+):
     runs = [output_dir / "sweep" / "cell" / f"seed={seed}" for seed in (0, 1)]
     for seconds, run in enumerate(runs):
         (run / "models" / "final.zip").touch()
@@ -52,7 +56,9 @@ def test_an_unknown_name_is_refused_with_suggestions(output_dir):
     assert "run=pretrained" in refusal("latest", output_dir / "empty")
 
 
-@pytest.mark.parametrize(("name", "meant"), [("default", "pretrained/default"), ("lates", "latest")])
+@pytest.mark.parametrize(
+    ("name", "meant"), [("default", "pretrained/default"), ("lates", "latest")]
+)
 def test_the_name_of_an_agent_or_of_the_latest_run_is_suggested(name, meant, output_dir):
     assert refusal(name, output_dir).endswith(f"did you mean {meant!r}?")
 

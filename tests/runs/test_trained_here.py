@@ -1,4 +1,6 @@
-"""Runs with classes of the user's own are trusted where this user has trained them, and nowhere else."""
+"""Runs with classes of the user's own are trusted where this user has trained them, and nowhere
+else.
+"""
 
 import os
 import shutil
@@ -29,7 +31,9 @@ def trained(tmp_path_factory):
 
 def test_an_own_run_is_exported_loaded_and_evaluated_without_more_ado(trained, tmp_path):
     run = only_run(trained).path
-    done = call_script("export", f"run='{run}'", f"path={tmp_path / 'policy.safetensors'}", "format=safetensors")
+    done = call_script(
+        "export", f"run='{run}'", f"path={tmp_path / 'policy.safetensors'}", "format=safetensors"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert type(load_model("latest", trained)).__name__ == "SavesExtraNetwork"
     evaluate_stored(run)
@@ -59,7 +63,9 @@ def test_another_config_in_its_place_is_refused(trained, tmp_path):
     assert was_trained_here(run.path)
     config = run.path / "config.yaml"
     config.write_text(config.read_text().replace("SavesExtraNetwork", "Exits"))
-    with pytest.raises(UntrustedError, match=r"^algorithm\._target_=support\.user_algorithms\.Exits in "):
+    with pytest.raises(
+        UntrustedError, match=r"^algorithm\._target_=support\.user_algorithms\.Exits in "
+    ):
         evaluate_stored(run.path)
 
 
@@ -83,7 +89,9 @@ def test_an_own_run_is_recorded_once(trained, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("state", ["relative", "", "/proc/nowhere"])
-def test_without_a_state_directory_there_is_no_record_and_training_goes_on(trained, state, tmp_path, monkeypatch):
+def test_without_a_state_directory_there_is_no_record_and_training_goes_on(
+    trained, state, tmp_path, monkeypatch
+):
     monkeypatch.setenv("XDG_STATE_HOME", state)
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # as for a user without a home
     monkeypatch.chdir(tmp_path)

@@ -7,7 +7,9 @@ from support.runs import run_script
 
 
 def benchmark(folder, *figures):
-    done = run_script("benchmark", "--quick", f"only=[{','.join(figures)}]", f"output_dir={folder}", timeout=600)
+    done = run_script(
+        "benchmark", "--quick", f"only=[{','.join(figures)}]", f"output_dir={folder}", timeout=600
+    )
     assert done.returncode == 0, done.stderr
     return json.loads((folder / "benchmark.json").read_text()), done.stdout
 
@@ -17,7 +19,13 @@ def test_chosen_figures_are_measured_printed_and_added_to_the_file(tmp_path):
     first, _ = benchmark(tmp_path, "simulator.n8")
     assert list(first) == ["simulator.n8.ratio"]
     figures, printed = benchmark(
-        tmp_path, "simulator.crowded", "update.ddpg.2x64", "run.tutorial", "her", "sweep.overhead", "sweep.resume"
+        tmp_path,
+        "simulator.crowded",
+        "update.ddpg.2x64",
+        "run.tutorial",
+        "her",
+        "sweep.overhead",
+        "sweep.resume",
     )
     assert sorted(figures) == [
         "her.bytes_per_transition", "her.sample.capacity_ratio", "her.sample.ratio",

@@ -20,5 +20,9 @@ def test_noise_is_tolerated_and_delay_is_not(monkeypatch):
     spec.loader.exec_module(script)
     monkeypatch.setattr(script, "N_SCENES", 50)
     policy, env = greedy_policy(load_model("pretrained")), compose("env=parking").env
-    assert script.evaluate(policy, env, script.Perturbation(noise=0.1)) == {"success": 1, "crash": 0, "parked": 0}
+    assert script.evaluate(policy, env, script.Perturbation(noise=0.1)) == {
+        "success": 1,
+        "crash": 0,
+        "parked": 0,
+    }
     assert script.evaluate(policy, env, script.Perturbation(delay=2))["success"] < 0.5

@@ -34,7 +34,8 @@ from parking_exp.statistics import (
     wilson_interval,
 )
 
-# Freireich et al. 1963, weeks of remission, as in Klein & Moeschberger: 6-MP (with censoring) and placebo.
+# Freireich et al. 1963, weeks of remission, as in Klein & Moeschberger: 6-MP (with censoring) and
+# placebo.
 MERCAPTOPURINE = (
     [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35],
     [1, 1, 1, 0, 1, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0],
@@ -46,12 +47,19 @@ SECOND = [27.1, 22.0, 20.8, 23.4, 23.4, 23.5, 25.8, 22.0, 24.8, 20.2, 21.9, 22.1
 TEN = [0.93, 0.97, 0.88, 1.0, 0.95, 0.91, 0.99, 0.96, 0.72, 0.94]
 
 EPISODES = st.sampled_from([None, 100])
-SEEDS = st.lists(st.integers(0, 100).map(lambda successes: successes / 100), min_size=2, max_size=12)
+SEEDS = st.lists(
+    st.integers(0, 100).map(lambda successes: successes / 100), min_size=2, max_size=12
+)
 
 
 def test_importing_statistics_imports_neither_scipy_nor_pandas():
     code = "import sys, parking_exp.statistics; print(sorted({'scipy', 'pandas', 'torch'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+        == "[]\n"
+    )
 
 
 # One rate
@@ -96,7 +104,9 @@ def test_perfect_seeds_have_the_exact_bound_of_all_their_episodes():
     # interpolated between quantiles of a Beta distribution
     assert mean_interval([0.0] * 10, 500).high == pytest.approx(1 - 0.025 ** (1 / 5000), rel=5e-5)
     same = mean_interval([0.99] * 10, 500)
-    assert (same.low, same.high) == pytest.approx(tuple(stats.binomtest(4950, 5000).proportion_ci()), abs=1e-6)
+    assert (same.low, same.high) == pytest.approx(
+        tuple(stats.binomtest(4950, 5000).proportion_ci()), abs=1e-6
+    )
 
 
 def test_one_seed_has_no_interval():
@@ -106,15 +116,28 @@ def test_one_seed_has_no_interval():
 def test_interval_of_a_mean_agrees_with_other_draws_of_the_model():
     rng = np.random.default_rng(3)
     weights = rng.dirichlet([0.8] * 10 + [0.05], 200_000)  # 0.8 = (10 - 2) / 10
-    worst = 0.72 - 3 * 0.28  # below 0, so that the unseen seed is at 0 for the lower end, and at 1 for the upper one
-    low, high = (np.quantile(weights @ [*TEN, unseen], q) for unseen, q in ((max(worst, 0), 0.025), (1, 0.975)))
+    worst = (
+        0.72 - 3 * 0.28
+    )  # below 0, so that the unseen seed is at 0 for the lower end, and at 1 for the upper one
+    low, high = (
+        np.quantile(weights @ [*TEN, unseen], q)
+        for unseen, q in ((max(worst, 0), 0.025), (1, 0.975))
+    )
     estimate = mean_interval(TEN)
-    assert (estimate.low, estimate.high) == (pytest.approx(low, abs=0.003), pytest.approx(high, abs=0.003))
+    assert (estimate.low, estimate.high) == (
+        pytest.approx(low, abs=0.003),
+        pytest.approx(high, abs=0.003),
+    )
 
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [([], "finite"), ([0.5, math.nan], "finite"), ([0.5, 1.5], "outside 0 ... 1"), ([-0.1, 0.5], "outside 0 ... 1")],
+    [
+        ([], "finite"),
+        ([0.5, math.nan], "finite"),
+        ([0.5, 1.5], "outside 0 ... 1"),
+        ([-0.1, 0.5], "outside 0 ... 1"),
+    ],
 )
 def test_mean_interval_refuses_values_that_are_no_rates(values, words):
     with pytest.raises(ValueError, match=words):
@@ -155,7 +178,10 @@ def test_raising_a_seed_never_lowers_an_end_of_a_difference_nor_moves_that_of_ot
     raised = [*rates]
     raised[place] = data.draw(st.integers(round(100 * rates[place]), 100)) / 100
     other, control = [SeedRates(others, n_episodes)], [SeedRates(TEN, n_episodes)]
-    before, after = (compare([([SeedRates(side, n_episodes)], other), (other, control)]) for side in (rates, raised))
+    before, after = (
+        compare([([SeedRates(side, n_episodes)], other), (other, control)])
+        for side in (rates, raised)
+    )
     assert after[0].low >= before[0].low - 1e-12
     assert after[0].high >= before[0].high - 1e-12
     assert after[1] == before[1]
@@ -163,7 +189,9 @@ def test_raising_a_seed_never_lowers_an_end_of_a_difference_nor_moves_that_of_ot
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(SEEDS, SEEDS), min_size=1, max_size=8), EPISODES)
-def test_0_lies_outside_the_simultaneous_interval_exactly_where_p_is_below_alpha(family, n_episodes):
+def test_0_lies_outside_the_simultaneous_interval_exactly_where_p_is_below_alpha(
+    family, n_episodes
+):
     pairs = [tuple([SeedRates(rates, n_episodes)] for rates in pair) for pair in family]
     for (a, b), difference in zip(family, compare(pairs), strict=True):
         assert difference.value == pytest.approx(np.mean(a) - np.mean(b))
@@ -195,11 +223,16 @@ def test_difference_agrees_with_other_draws_of_the_model():
     low = np.quantile(weights[0] @ [*TEN, 0] - weights[1] @ [*other, 1], 0.025)
     high = np.quantile(weights[0] @ [*TEN, 1] - weights[1] @ [*other, 0], 0.975)
     (difference,) = compare([([SeedRates(TEN)], [SeedRates(other)])])
-    assert (difference.low, difference.high) == (pytest.approx(low, abs=0.004), pytest.approx(high, abs=0.004))
+    assert (difference.low, difference.high) == (
+        pytest.approx(low, abs=0.004),
+        pytest.approx(high, abs=0.004),
+    )
 
 
 def test_rank_test_is_mann_and_whitneys():
-    assert rank_test([0.9, 0.8, 0.7], [0.3, 0.2, 0.1]) == pytest.approx(2 / 20)  # 6! / (3! 3!) = 20 orders
+    assert rank_test([0.9, 0.8, 0.7], [0.3, 0.2, 0.1]) == pytest.approx(
+        2 / 20
+    )  # 6! / (3! 3!) = 20 orders
     assert rank_test(TEN, FIRST) == pytest.approx(stats.mannwhitneyu(TEN, FIRST).pvalue)
     assert rank_test([1.0] * 3, [1.0] * 4) == 1.0
     assert rank_test([0.9], [0.5, 0.7]) is None
@@ -235,8 +268,20 @@ def test_steps_to_is_the_first_of_three_evaluations_that_hold():
 
 def test_kaplan_meier_agrees_with_the_leukaemia_table():
     curve = kaplan_meier(*MERCAPTOPURINE)
-    survival = {time: round(1 - reached, 3) for time, reached in zip(curve.times, curve.reached, strict=True)}
-    published = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448, 35: 0.448}
+    survival = {
+        time: round(1 - reached, 3)
+        for time, reached in zip(curve.times, curve.reached, strict=True)
+    }
+    published = {
+        6: 0.857,
+        7: 0.807,
+        10: 0.753,
+        13: 0.690,
+        16: 0.627,
+        22: 0.538,
+        23: 0.448,
+        35: 0.448,
+    }
     assert {time: survival[time] for time in published} == published
     assert (curve.median, curve.n, curve.k) == (23.0, 21, 9)
     assert kaplan_meier(*PLACEBO).median == 8.0
@@ -255,7 +300,9 @@ def test_kaplan_meier_without_events_and_with_nothing_else():
 
 
 def test_log_rank_agrees_with_the_published_leukaemia_trial_and_needs_an_event():
-    assert log_rank(MERCAPTOPURINE, PLACEBO) == pytest.approx(stats.chi2.sf(16.79, 1), rel=0.01)  # chi-square 16.79
+    assert log_rank(MERCAPTOPURINE, PLACEBO) == pytest.approx(
+        stats.chi2.sf(16.79, 1), rel=0.01
+    )  # chi-square 16.79
     assert log_rank(([5, 5], [0, 0]), ([5], [0])) is None
     assert log_rank(([5, 5], [1, 1]), ([5], [1])) == 1.0
 
@@ -275,11 +322,18 @@ def test_normalised_area_is_trapezoids_over_the_covered_range():
 
 # Factor sweeps
 
-CELLS = {("future", 2): [0.2, 0.4], ("future", 4): [0.6, 0.8, 0.7], ("final", 2): [0.1, 0.1], ("final", 4): [0.3, 0.5]}
+CELLS = {
+    ("future", 2): [0.2, 0.4],
+    ("future", 4): [0.6, 0.8, 0.7],
+    ("final", 2): [0.1, 0.1],
+    ("final", 4): [0.3, 0.5],
+}
 
 
 def effects_of(factors, cells=CELLS, n_episodes=None):
-    return main_effects(factors, [(levels, SeedRates(rates, n_episodes)) for levels, rates in cells.items()])
+    return main_effects(
+        factors, [(levels, SeedRates(rates, n_episodes)) for levels, rates in cells.items()]
+    )
 
 
 def test_main_effects_weigh_cells_and_not_seeds():
@@ -288,14 +342,18 @@ def test_main_effects_weigh_cells_and_not_seeds():
     assert {level.level: level.effect.value for level in strategy.levels} == pytest.approx(
         {"final": 0.25, "future": 0.5}
     )
-    assert {level.level: level.effect.value for level in goals.levels} == pytest.approx({2: 0.2, 4: 0.55})
+    assert {level.level: level.effect.value for level in goals.levels} == pytest.approx(
+        {2: 0.2, 4: 0.55}
+    )
     assert strategy.complete
     assert goals.largest.value == pytest.approx(0.35)
 
 
 def test_effects_are_contrasts_of_all_cells_of_a_level():
     effect = effects_of(["strategy", "goals"], n_episodes=100)[0]
-    sides = [[SeedRates(CELLS[name, goals], 100) for goals in (2, 4)] for name in ("future", "final")]
+    sides = [
+        [SeedRates(CELLS[name, goals], 100) for goals in (2, 4)] for name in ("future", "final")
+    ]
     (difference,) = compare([sides])
     assert (effect.largest, effect.p) == (difference, difference.p)
     future = effect.levels[1]
@@ -306,16 +364,23 @@ def test_the_largest_of_three_differences_is_corrected_for_all_of_them():
     cells = {("a",): TEN, ("b",): [0.5, 0.7, 0.6], ("c",): [0.4, 0.6, 0.4]}
     (effect,) = effects_of(["strategy"], cells)
     sides = {name: [SeedRates(rates)] for (name,), rates in cells.items()}
-    expected = compare([(sides["a"], sides["b"]), (sides["a"], sides["c"]), (sides["b"], sides["c"])])[1]
+    expected = compare(
+        [(sides["a"], sides["b"]), (sides["a"], sides["c"]), (sides["b"], sides["c"])]
+    )[1]
     assert (effect.largest, effect.p) == (expected, expected.p_corrected)
     assert effect.levels[0].effect == mean_interval(TEN)
 
 
 def test_effects_flag_missing_combinations_and_have_no_interval_with_a_single_seed():
-    cells = {key: values for key, values in CELLS.items() if key != ("final", 4)} | {("future", 2): [0.3]}
+    cells = {key: values for key, values in CELLS.items() if key != ("final", 4)} | {
+        ("future", 2): [0.3]
+    }
     effect = effects_of(["strategy", "goals"], cells)[0]
     assert not effect.complete
-    assert (effect.levels[1].effect.value, effect.levels[1].effect.low) == (pytest.approx(0.5), None)
+    assert (effect.levels[1].effect.value, effect.levels[1].effect.low) == (
+        pytest.approx(0.5),
+        None,
+    )
     assert (effect.largest.low, effect.p) == (None, None)
 
 
@@ -331,13 +396,19 @@ def test_interval_of_a_mean_covers_in_93_to_97_of_100_draws(rates, n):
 
 
 def test_intervals_of_differences_cover_in_93_to_97_of_100_draws():
-    assert 0.93 <= simulation.of_difference(Rates(0.9, 0.08), Rates(0.9, 0.08), 20, 1000).mean() <= 0.97
+    assert (
+        0.93
+        <= simulation.of_difference(Rates(0.9, 0.08), Rates(0.9, 0.08), 20, 1000).mean()
+        <= 0.97
+    )
 
 
 def test_note_speaks_exactly_where_a_collapse_shows():
     rates = Rates(0.95, 0.03, failing=0.1)
     assert simulation.of_mean(rates, 10, 400).mean() < 0.93
-    assert np.array_equal(simulation.speaks(rates, 10), (rates.measured(10, 400, seed=2) == 0).any(axis=1))
+    assert np.array_equal(
+        simulation.speaks(rates, 10), (rates.measured(10, 400, seed=2) == 0).any(axis=1)
+    )
 
 
 def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
@@ -349,7 +420,9 @@ def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("episodes", simulation.EPISODES)
-@pytest.mark.parametrize(("n", "lowest", "highest"), [(5, 0.91, 1), (10, 0.925, 0.995), (20, 0.93, 0.98)])
+@pytest.mark.parametrize(
+    ("n", "lowest", "highest"), [(5, 0.91, 1), (10, 0.925, 0.995), (20, 0.93, 0.98)]
+)
 @pytest.mark.parametrize("rates", simulation.HEALTHY, ids=str)
 def test_intervals_of_means_cover_in_93_of_100_draws_or_91_with_5_seeds_and_more_where_seeds_scatter_little(
     rates, n, lowest, highest, episodes
@@ -361,8 +434,12 @@ def test_intervals_of_means_cover_in_93_of_100_draws_or_91_with_5_seeds_and_more
 
 @pytest.mark.slow
 @pytest.mark.parametrize("episodes", simulation.EPISODES)
-@pytest.mark.parametrize(("n", "tailed", "collapsing"), [(5, 0.64, 0.52), (10, 0.73, 0.64), (20, 0.82, 0.85)])
-def test_intervals_of_means_cover_less_where_few_seeds_are_far_below_the_others(n, tailed, collapsing, episodes):
+@pytest.mark.parametrize(
+    ("n", "tailed", "collapsing"), [(5, 0.64, 0.52), (10, 0.73, 0.64), (20, 0.82, 0.85)]
+)
+def test_intervals_of_means_cover_less_where_few_seeds_are_far_below_the_others(
+    n, tailed, collapsing, episodes
+):
     for populations, lowest in ((simulation.TAILED, tailed), (simulation.COLLAPSING, collapsing)):
         covered = [simulation.of_mean(rates, n, episodes=episodes).mean() for rates in populations]
         assert lowest <= min(covered) < 0.93
@@ -372,15 +449,22 @@ def test_intervals_of_means_cover_less_where_few_seeds_are_far_below_the_others(
 @pytest.mark.parametrize("episodes", simulation.EPISODES)
 @pytest.mark.parametrize("n", simulation.SEEDS)
 def test_differences_cover_in_92_of_100_draws_and_less_where_one_side_has_a_tail(n, episodes):
-    for pairs, lowest in ((simulation.PAIRS, 0.92), (simulation.SKEWED_PAIRS, {5: 0.75, 10: 0.8, 20: 0.87}[n])):
+    for pairs, lowest in (
+        (simulation.PAIRS, 0.92),
+        (simulation.SKEWED_PAIRS, {5: 0.75, 10: 0.8, 20: 0.87}[n]),
+    ):
         for pair in pairs:
             assert simulation.of_difference(*pair, n, episodes=episodes).mean() >= lowest, pair
 
 
 @pytest.mark.parametrize("episodes", simulation.EPISODES)
 @pytest.mark.parametrize("n", slow_but((20,), (*simulation.SEEDS, 100)))
-@pytest.mark.parametrize("rates", slow_but((Rates(0.9999),), (Rates(0.9999), Rates(0.999), Rates(0.999, 0.001))))
-def test_equal_cells_near_100_percent_differ_significantly_in_at_most_5_of_100_draws(rates, n, episodes):
+@pytest.mark.parametrize(
+    "rates", slow_but((Rates(0.9999),), (Rates(0.9999), Rates(0.999), Rates(0.999, 0.001)))
+)
+def test_equal_cells_near_100_percent_differ_significantly_in_at_most_5_of_100_draws(
+    rates, n, episodes
+):
     assert simulation.of_difference(rates, rates, n, 200, episodes).mean() >= 0.95
 
 

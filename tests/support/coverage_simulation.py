@@ -1,7 +1,8 @@
 """Simulate how often confidence intervals cover, by number of seeds.
 
-A seed's true rate is drawn from a Beta distribution, or is 0 if the seed collapses; its measured rate is over 100 or
-500 episodes. `PYTHONPATH=. python tests/support/coverage_simulation.py` prints the whole table.
+A seed's true rate is drawn from a Beta distribution, or is 0 if the seed collapses; its measured
+rate is over 100 or 500 episodes. `PYTHONPATH=. python tests/support/coverage_simulation.py` prints
+the whole table.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,9 @@ SEEDS = (5, 10, 20)
 
 @dataclass(frozen=True)
 class Rates:
-    """Seeds whose true rates have this mean and deviation; the share `failing` of them is at 0 instead."""
+    """Seeds whose true rates have this mean and deviation; the share `failing` of them is at 0
+    instead.
+    """
 
     mean: float
     deviation: float = 0.0
@@ -50,10 +53,14 @@ DEVIATIONS = {
     0.999: (0.001,),
     0.9999: (0,),
 }
-HEALTHY = tuple(Rates(mean, deviation) for mean, deviations in DEVIATIONS.items() for deviation in deviations)
+HEALTHY = tuple(
+    Rates(mean, deviation) for mean, deviations in DEVIATIONS.items() for deviation in deviations
+)
 # A few seeds are far below the others: one in a hundred below 0.33, 0.73, 0.51 and 0.85.
 TAILED = (Rates(0.9, 0.15), Rates(0.95, 0.06), Rates(0.95, 0.1), Rates(0.99, 0.03))
-COLLAPSING = tuple(Rates(*rates, failing) for rates in ((0.95, 0.03), (0.8, 0.08)) for failing in (0.1, 0.2))
+COLLAPSING = tuple(
+    Rates(*rates, failing) for rates in ((0.95, 0.03), (0.8, 0.08)) for failing in (0.1, 0.2)
+)
 PAIRS = (
     (Rates(0.5, 0.15), Rates(0.5, 0.15)),
     (Rates(0.5, 0.05), Rates(0.5, 0.15)),
@@ -75,17 +82,26 @@ SKEWED_PAIRS = (
 
 def of_mean(rates, n, draws=DRAWS, episodes=100):
     """Return in which of the draws `mean_interval` holds the mean of all seeds."""
-    intervals = [mean_interval(row, episodes) for row in rates.measured(n, draws, episodes=episodes)]
+    intervals = [
+        mean_interval(row, episodes) for row in rates.measured(n, draws, episodes=episodes)
+    ]
     return np.array([interval.low <= rates.truth <= interval.high for interval in intervals])
 
 
 def of_difference(a, b, n, draws=DRAWS, episodes=100, alpha=0.05):
-    """Return in which of the draws the interval of `compare` at the level 1 - alpha holds the difference."""
-    rows = zip(*(side.measured(n, draws, seed, episodes) for side, seed in ((a, 2), (b, 3))), strict=True)
+    """Return in which of the draws the interval of `compare` at the level 1 - alpha holds the
+    difference.
+    """
+    rows = zip(
+        *(side.measured(n, draws, seed, episodes) for side, seed in ((a, 2), (b, 3))), strict=True
+    )
     differences = [
-        compare([([SeedRates(row_a, episodes)], [SeedRates(row_b, episodes)])], alpha)[0] for row_a, row_b in rows
+        compare([([SeedRates(row_a, episodes)], [SeedRates(row_b, episodes)])], alpha)[0]
+        for row_a, row_b in rows
     ]
-    return np.array([difference.low <= a.truth - b.truth <= difference.high for difference in differences])
+    return np.array(
+        [difference.low <= a.truth - b.truth <= difference.high for difference in differences]
+    )
 
 
 def speaks(rates, n, draws=400):
@@ -94,7 +110,9 @@ def speaks(rates, n, draws=400):
 
 
 def main():
-    """Print the coverage of everything, in percent, by number of seeds, with 100 and with 500 episodes."""
+    """Print the coverage of everything, in percent, by number of seeds, with 100 and with 500
+    episodes.
+    """
     print("seeds", *SEEDS)
     tables = (
         ("mean", of_mean, [(rates,) for rates in HEALTHY + TAILED + COLLAPSING]),
@@ -102,8 +120,15 @@ def main():
     )
     for name, coverage, populations in tables:
         for population in populations:
-            covered = [[coverage(*population, n, episodes=m).mean() for n in SEEDS] for m in EPISODES]
-            print(name, *population, *("/".join(f"{100 * share:.1f}" for share in row) for row in covered), flush=True)
+            covered = [
+                [coverage(*population, n, episodes=m).mean() for n in SEEDS] for m in EPISODES
+            ]
+            print(
+                name,
+                *population,
+                *("/".join(f"{100 * share:.1f}" for share in row) for row in covered),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -17,7 +17,9 @@ class Plane(gym.Env):
     def __init__(self, render_mode=None):
         plane = spaces.Box(-np.inf, np.inf, (2,), np.float32)
         self.render_mode = render_mode
-        self.observation_space = spaces.Dict(observation=plane, achieved_goal=plane, desired_goal=plane)
+        self.observation_space = spaces.Dict(
+            observation=plane, achieved_goal=plane, desired_goal=plane
+        )
         self.action_space = spaces.Box(-1, 1, (2,), np.float32)
         self.steps = 0  # in the life of this instance
 
@@ -28,11 +30,17 @@ class Plane(gym.Env):
         return self.observe(), {}
 
     def observe(self):
-        return {"observation": self.position, "achieved_goal": self.position, "desired_goal": self.goal}
+        return {
+            "observation": self.position,
+            "achieved_goal": self.position,
+            "desired_goal": self.goal,
+        }
 
     def step(self, action):
         self.steps += 1
-        self.position = (self.position + 0.2 * np.asarray(action)).clip(-1.5, 1.5).astype(np.float32)
+        self.position = (
+            (self.position + 0.2 * np.asarray(action)).clip(-1.5, 1.5).astype(np.float32)
+        )
         return self.observe(), 0.0, False, False, {}
 
     def render(self):
@@ -44,7 +52,9 @@ class Reach(Plane):
 
     def step(self, action):
         observation, _, terminated, truncated, info = super().step(action)
-        reward = float(self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info))
+        reward = float(
+            self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+        )
         return observation, reward, terminated, truncated, {**info, "is_success": reward == 0}
 
     def compute_reward(self, achieved_goal, desired_goal, info):
@@ -74,7 +84,9 @@ class InfoArray(Reach):
     def step(self, action):
         observation, _, terminated, truncated, info = super().step(action)
         info["at_wall"] = bool(np.abs(self.position).max() > 0.5)
-        reward = float(self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info))
+        reward = float(
+            self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+        )
         return observation, reward, terminated, truncated, info
 
     def compute_reward(self, achieved_goal, desired_goal, info):
@@ -162,7 +174,16 @@ class NeverThere(Reach):
 
 
 CASES = (
-    *(Reach, LateRenderError, ChangingFrames, RenderExit, InfoArray, ColumnReward, NotFinite, LastNotFinite),
+    *(
+        Reach,
+        LateRenderError,
+        ChangingFrames,
+        RenderExit,
+        InfoArray,
+        ColumnReward,
+        NotFinite,
+        LastNotFinite,
+    ),
     *(Signed, OwnPosition, AlwaysThere, NeverThere),
 )
 for case in CASES:

@@ -1,4 +1,6 @@
-"""A toy goal environment in which only an agent that looks at the goal succeeds more often than by chance."""
+"""A toy goal environment in which only an agent that looks at the goal succeeds more often than by
+chance.
+"""
 
 import gymnasium as gym
 import numpy as np
@@ -7,16 +9,17 @@ DIMENSIONS, TOLERANCE, STRIDE, STEPS = 4, 0.1, 0.25, 10
 CHANCE = STEPS * TOLERANCE**DIMENSIONS
 """Upper bound of the success rate of an agent that does not look at the goal: 0.1 %.
 
-The goal is uniform in a cube of side 2 and independent of such an agent's path. Each of the STEPS points on it is near
-enough with a probability of at most (2 * TOLERANCE / 2) ** DIMENSIONS.
+The goal is uniform in a cube of side 2 and independent of such an agent's path. Each of the STEPS
+points on it is near enough with a probability of at most (2 * TOLERANCE / 2) ** DIMENSIONS.
 """
 
 
 class Reach(gym.Env):
-    """A point in a cube of side 2 that must come within TOLERANCE of a goal, in each coordinate, within STEPS steps.
+    """A point in a cube of side 2 that must come within TOLERANCE of a goal, in each coordinate,
+    within STEPS steps.
 
-    Every goal can be reached: coordinates differ by at most 2, which is 8 steps of STRIDE. The reward is 0 at the goal,
-    where the episode ends, and -1 elsewhere.
+    Every goal can be reached: coordinates differ by at most 2, which is 8 steps of STRIDE. The
+    reward is 0 at the goal, where the episode ends, and -1 elsewhere.
     """
 
     observation_space = gym.spaces.Dict(
@@ -37,13 +40,23 @@ class Reach(gym.Env):
         self.point = np.clip(self.point + STRIDE * np.asarray(action, dtype=float), -1, 1)
         self.steps += 1
         reward = float(self.compute_reward(self.point, self.goal, {}))
-        return self._observe(), reward, reward == 0, self.steps >= STEPS, {"is_success": reward == 0}
+        return (
+            self._observe(),
+            reward,
+            reward == 0,
+            self.steps >= STEPS,
+            {"is_success": reward == 0},
+        )
 
     def compute_reward(self, achieved_goal, desired_goal, info):
         return np.where(np.abs(achieved_goal - desired_goal).max(axis=-1) <= TOLERANCE, 0.0, -1.0)
 
     def _observe(self):
-        return {"observation": self.point.copy(), "achieved_goal": self.point.copy(), "desired_goal": self.goal.copy()}
+        return {
+            "observation": self.point.copy(),
+            "achieved_goal": self.point.copy(),
+            "desired_goal": self.goal.copy(),
+        }
 
 
 def success_rate(policy, episodes=200):

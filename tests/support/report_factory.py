@@ -23,15 +23,25 @@ HOSTILE = (
 
 
 def report(n_cells=3, n_seeds=10, labels=None, look=None, **changes):
-    """Return a report on a few algorithms; `labels` are other names for the cells, `changes` replace fields."""
+    """Return a report on a few algorithms; `labels` are other names for the cells, `changes`
+    replace fields.
+    """
     names = ("sac", "td3", "ddpg", "tqc", "crossq")
-    configs = [{"algorithm.name": names[i % 5], "algorithm.learning_rate": 1e-3 * (1 + i // 5)} for i in range(n_cells)]
+    configs = [
+        {"algorithm.name": names[i % 5], "algorithm.learning_rate": 1e-3 * (1 + i // 5)}
+        for i in range(n_cells)
+    ]
     cells = {str(i): config for i, config in enumerate(configs)}
     others = [0.3 + 0.65 * (i * 7 % n_cells) / n_cells for i in range(3, n_cells)]
     means = {str(i): mean for i, mean in enumerate([0.975, 0.93, 0.71, *others][:n_cells])}
     made = _report(cells, n_seeds, means, look or (lambda label, run: run))
     if labels:
-        made = replace(made, cells=[replace(cell, label=label) for cell, label in zip(made.cells, labels, strict=True)])
+        made = replace(
+            made,
+            cells=[
+                replace(cell, label=label) for cell, label in zip(made.cells, labels, strict=True)
+            ],
+        )
     return replace(made, **changes)
 
 
@@ -50,7 +60,12 @@ def all_succeed():
 @cache
 def with_failed_cell():
     """Return a report on two cells with results, and one all of whose runs have failed."""
-    failed = Run(status="failed", error="FloatingPointError: loss is nan", curve=(), columns={"n_scenes": N_SCENES})
+    failed = Run(
+        status="failed",
+        error="FloatingPointError: loss is nan",
+        curve=(),
+        columns={"n_scenes": N_SCENES},
+    )
     return report(3, 10, look=lambda label, run: failed if label == "2" else run)
 
 
@@ -59,8 +74,16 @@ def her_ablation(n_seeds=10):
     """Return a report on strategy x n_sampled_goal."""
     bases = {"future": 0.93, "final": 0.86, "episode": 0.8, "random": 0.55}
     bump = {1: -0.12, 2: -0.03, 4: 0.03, 8: 0.02, 16: -0.06}
-    cells = {f"{s}{k}": {"buffer.name": f"her_{s}", "buffer.n_sampled_goal": k} for s in bases for k in bump}
-    means = {f"{s}{k}": base + bump[k] * (2 if s == "random" else 1) for s, base in bases.items() for k in bump}
+    cells = {
+        f"{s}{k}": {"buffer.name": f"her_{s}", "buffer.n_sampled_goal": k}
+        for s in bases
+        for k in bump
+    }
+    means = {
+        f"{s}{k}": base + bump[k] * (2 if s == "random" else 1)
+        for s, base in bases.items()
+        for k in bump
+    }
     return _report(cells, n_seeds, means)
 
 
@@ -91,15 +114,30 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
     rng = np.random.default_rng(len(cells) * 1000 + n_seeds)
 
     def made(label, seed):
-        success = round(float(np.clip(rng.normal(means[label], 0.01 + 0.1 * (1 - means[label])), 0, 1)) * N_SCENES)
+        success = round(
+            float(np.clip(rng.normal(means[label], 0.01 + 0.1 * (1 - means[label])), 0, 1))
+            * N_SCENES
+        )
         crash = round((N_SCENES - success) * float(rng.uniform(0.3, 0.9)))
         rise = success / N_SCENES / (1 + np.exp(-(STEPS - 14_000) / 4_000))
         curve = np.clip(rise + rng.normal(0, 0.03, len(STEPS)), 0, 1)
-        return look(label, Run(success / N_SCENES, crash / N_SCENES, 0.5, curve, cpu_s=float(rng.uniform(150, 220))))
+        return look(
+            label,
+            Run(
+                success / N_SCENES, crash / N_SCENES, 0.5, curve, cpu_s=float(rng.uniform(150, 220))
+            ),
+        )
 
     common = {"total_timesteps": BUDGET, "evaluation.final_n_scenes": N_SCENES}
-    frames = results({label: {**common, **cell} for label, cell in cells.items()}, range(n_seeds), made, "algorithms")
-    report = build_report(frames, ["algorithms"], quick=True, command="python scripts/report.py experiment=algorithms")
+    frames = results(
+        {label: {**common, **cell} for label, cell in cells.items()},
+        range(n_seeds),
+        made,
+        "algorithms",
+    )
+    report = build_report(
+        frames, ["algorithms"], quick=True, command="python scripts/report.py experiment=algorithms"
+    )
     drawn = [
         replace(
             cell,
@@ -113,9 +151,18 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
 
 
 def _slots(mean, n_seeds, rng):
-    rates = [float(np.clip(mean - 0.15 * (abs(x) / 26) ** 2 + rng.normal(0, 0.02), 0, 1)) for x, _ in SLOT_POSITIONS]
+    rates = [
+        float(np.clip(mean - 0.15 * (abs(x) / 26) ** 2 + rng.normal(0, 0.02), 0, 1))
+        for x, _ in SLOT_POSITIONS
+    ]
     n = N_SCENES * n_seeds // len(rates)
     return [
-        {"slot": slot, "n": n, "success": rate, "crash": (1 - rate) * 0.6, "timeout": (1 - rate) * 0.4}
+        {
+            "slot": slot,
+            "n": n,
+            "success": rate,
+            "crash": (1 - rate) * 0.6,
+            "timeout": (1 - rate) * 0.4,
+        }
         for slot, rate in enumerate(rates)
     ]

@@ -1,4 +1,6 @@
-"""Results of made-up runs as frames, as `parking_exp.results.load` gives them: what a report is a function of."""
+"""Results of made-up runs as frames, as `parking_exp.results.load` gives them: what a report is a
+function of.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -45,12 +47,16 @@ class Run:
 
 
 def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="one") -> Results:
-    """Return the results of an experiment; cells: name -> dotted keys that differ from CONFIG, None for no such key."""
+    """Return the results of an experiment; cells: name -> dotted keys that differ from CONFIG, None
+    for no such key.
+    """
     runs, curves, episodes = [], [], []
     for label, changes in cells.items():
         for seed in seeds:
             run, run_id = look(label, seed), f"{experiment}-{label}-{seed}"
-            config = {key: value for key, value in {**CONFIG, **changes}.items() if value is not None}
+            config = {
+                key: value for key, value in {**CONFIG, **changes}.items() if value is not None
+            }
             runs.append(_row(len(runs), run, run_id, experiment, label, seed, config))
             steps = np.linspace(0, config["total_timesteps"], len(run.curve) + 1).astype(int)[1:]
             curves += [
@@ -61,13 +67,17 @@ def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="o
                 n, first = config["evaluation.final_n_scenes"], config["evaluation.first_scene"]
                 good, bad = round(run.success * n), round((run.success + run.crash) * n)
                 ends = ["success"] * good + ["crash"] * (bad - good) + ["timeout"] * (n - bad)
-                episodes += [(run_id, "final", first + scene, end) for scene, end in enumerate(ends)]
+                episodes += [
+                    (run_id, "final", first + scene, end) for scene, end in enumerate(ends)
+                ]
     outcomes = pd.CategoricalDtype(list(OUTCOMES))
     names = ["run_id", "step", "success_rate", "crash_rate", "cpu_s"]
     return Results(
         pd.DataFrame(runs),
         pd.DataFrame(curves, columns=names),
-        pd.DataFrame(episodes, columns=["run_id", "phase", "scene", "outcome"]).astype({"outcome": outcomes}),
+        pd.DataFrame(episodes, columns=["run_id", "phase", "scene", "outcome"]).astype(
+            {"outcome": outcomes}
+        ),
         "sqlite:///outputs/mlflow.db",
     )
 
@@ -75,7 +85,10 @@ def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="o
 def together(*parts: Results) -> Results:
     """Return the results of several experiments."""
     names = ("runs", "curves", "episodes")
-    return Results(*(pd.concat([getattr(part, name) for part in parts], ignore_index=True) for name in names), "")
+    return Results(
+        *(pd.concat([getattr(part, name) for part in parts], ignore_index=True) for name in names),
+        "",
+    )
 
 
 def _row(number, run, run_id, experiment, label, seed, config):

@@ -13,22 +13,36 @@ from support.runs import CLOCKED, history, store
 
 
 def differences(one, two):
-    """What two runs left behind and where that is not the same, to the last bit; both are run directories."""
+    """What two runs left behind and where that is not the same, to the last bit; both are run
+    directories.
+    """
     ours, theirs = contents(one), contents(two)
-    return sorted(name for name in {*ours, *theirs} if name not in ours or theirs.get(name) != ours[name])
+    return sorted(
+        name for name in {*ours, *theirs} if name not in ours or theirs.get(name) != ours[name]
+    )
 
 
 def contents(path):
-    """All values of a run directory by name: arrays as bytes, the rest as it is. The state is the last checkpoint's."""
+    """All values of a run directory by name: arrays as bytes, the rest as it is. The state is the
+    last checkpoint's.
+    """
     folder = sorted((path / "checkpoints").glob("step=*"))[-1]
-    found = {"metrics": metrics(path), "progress.csv": table(path / "progress.csv"), **events(path / "tensorboard")}
+    found = {
+        "metrics": metrics(path),
+        "progress.csv": table(path / "progress.csv"),
+        **events(path / "tensorboard"),
+    }
     found["episodes.csv"] = (path / "episodes.csv").read_text()
     found["monitor.csv"] = table(path / "monitor.csv", comment=1, without={"t"})
     found |= state(folder / "state.pt") | {"checkpoint": folder.name}
     for archive in (folder / "replay_buffer.npz",):
         with np.load(archive) as arrays:
             found |= {f"{archive.name}/{name}": exact(arrays[name]) for name in arrays}
-    for model in (folder / "model.zip", path / "models" / "best.zip", path / "models" / "final.zip"):
+    for model in (
+        folder / "model.zip",
+        path / "models" / "best.zip",
+        path / "models" / "final.zip",
+    ):
         found |= {f"{model.name}/{name}": value for name, value in parameters(model).items()}
     return found
 
@@ -41,7 +55,11 @@ def metrics(path):
 def stored(output_dir, run_id):
     """What the store has of a run: every metric with its history."""
     client = store(output_dir)
-    return {key: history(client, run_id, key) for key in client.get_run(run_id).data.metrics if key not in CLOCKED}
+    return {
+        key: history(client, run_id, key)
+        for key in client.get_run(run_id).data.metrics
+        if key not in CLOCKED
+    }
 
 
 def without_clock(values):
@@ -53,7 +71,10 @@ def table(path, comment=0, without=CLOCKED):
     if not path.exists():
         return None  # not asked for
     lines = path.read_text().splitlines()[comment:]
-    return [{name: cell for name, cell in row.items() if name not in without} for row in csv.DictReader(lines)]
+    return [
+        {name: cell for name, cell in row.items() if name not in without}
+        for row in csv.DictReader(lines)
+    ]
 
 
 def events(path):
@@ -66,7 +87,10 @@ def events(path):
     board = EventAccumulator(str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False)
     board.Reload()
     tags = without_clock(dict.fromkeys(board.Tags()["scalars"]))
-    return {f"tensorboard/{tag}": [(event.step, event.value) for event in board.Scalars(tag)] for tag in tags}
+    return {
+        f"tensorboard/{tag}": [(event.step, event.value) for event in board.Scalars(tag)]
+        for tag in tags
+    }
 
 
 def state(path):
@@ -94,7 +118,11 @@ def parameters(path):
 def leaves(node, name):
     if isinstance(node, dict | list | tuple):
         items = node.items() if isinstance(node, dict) else enumerate(node)
-        return {key: leaf for part, child in items for key, leaf in leaves(child, f"{name}/{part}").items()}
+        return {
+            key: leaf
+            for part, child in items
+            for key, leaf in leaves(child, f"{name}/{part}").items()
+        }
     return {name: exact(node.detach().numpy()) if torch.is_tensor(node) else node}
 
 

@@ -21,7 +21,17 @@ from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.runs.directory import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
-GROUPS = ("env", "algorithm", "buffer", "budget", "envs", "evaluation", "checkpoint", "tracking", "experiment")
+GROUPS = (
+    "env",
+    "algorithm",
+    "buffer",
+    "budget",
+    "envs",
+    "evaluation",
+    "checkpoint",
+    "tracking",
+    "experiment",
+)
 
 
 def options(group):
@@ -53,11 +63,15 @@ def run_script(name, *arguments, cwd=None, env=None, timeout=180):
 
 
 def call_script(name, *arguments, cwd=None):
-    """Do in this process what `python scripts/NAME.py ...` does: for what says or writes the same in any process."""
+    """Do in this process what `python scripts/NAME.py ...` does: for what says or writes the same
+    in any process.
+    """
     main = importlib.import_module(f"parking_exp.cli.{name}").main
     output, errors, code = io.StringIO(), io.StringIO(), 0
     with contextlib.ExitStack() as stack:
-        stack.enter_context(pytest.MonkeyPatch.context()).setattr(sys, "argv", [f"scripts/{name}.py", *arguments])
+        stack.enter_context(pytest.MonkeyPatch.context()).setattr(
+            sys, "argv", [f"scripts/{name}.py", *arguments]
+        )
         stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
         stack.enter_context(contextlib.redirect_stdout(output))
         stack.enter_context(contextlib.redirect_stderr(errors))
@@ -66,17 +80,23 @@ def call_script(name, *arguments, cwd=None):
             main()
         except SystemExit as left:
             code = left.code
-    return subprocess.CompletedProcess([name, *arguments], code or 0, output.getvalue(), errors.getvalue())
+    return subprocess.CompletedProcess(
+        [name, *arguments], code or 0, output.getvalue(), errors.getvalue()
+    )
 
 
 def evaluate_stored(path, *arguments):
-    """Evaluate a run directory as `scripts/evaluate.py` does, on one episode, with the errors as they are."""
+    """Evaluate a run directory as `scripts/evaluate.py` does, on one episode, with the errors as
+    they are.
+    """
     lines = [f"run='{path}'", "episodes=1", "simulator=vectorized", *arguments]
     return evaluate_runs(compose_configs("evaluate", lines))
 
 
 def in_memory():
-    """A temporary directory that does not wait for a disk, where there is such a place: a sqlite store does, often."""
+    """A temporary directory that does not wait for a disk, where there is such a place: a sqlite
+    store does, often.
+    """
     place = Path("/dev/shm")
     return tempfile.TemporaryDirectory(dir=place if os.access(place, os.W_OK) else None)
 
@@ -113,11 +133,15 @@ def history(client, run_id, key):
 
 
 CLOCKED = {"time/fps", "time/time_elapsed", "time/cpu_s", "time/wall_s"}
-"""Metrics that a clock says: the only ones in which a run that was cut off may differ from one that was not."""
+"""Metrics that a clock says: the only ones in which a run that was cut off may differ from one that
+was not.
+"""
 
 
 def assert_store_is_whole(output_dir, total_timesteps):
-    """The run is finished in the store, has every step once, and the values of the run directory."""
+    """The run is finished in the store, has every step once, and the values of the run
+    directory.
+    """
     directory, client = only_run(output_dir), store(output_dir)
     run = client.get_run(directory.run_id)
     assert run.info.status == "FINISHED"

@@ -1,4 +1,6 @@
-"""Simulator and highway-env, side by side: the same scenes, the same actions, every step compared."""
+"""Simulator and highway-env, side by side: the same scenes, the same actions, every step
+compared.
+"""
 
 import numpy as np
 
@@ -15,14 +17,18 @@ KINDS = ("random", "biased", "gentle", "trained")
 def actions_of(kind, rng, shape, policy=None):
     """A function of the step's observations and rows -> actions, of one kind for all scenes."""
     bias = rng.uniform(-1, 1, shape)
-    bias[:, 0] = np.sign(bias[:, 0]) * np.abs(bias[:, 0]) ** 0.3  # mostly full throttle or full brake: early crashes
+    bias[:, 0] = (
+        np.sign(bias[:, 0]) * np.abs(bias[:, 0]) ** 0.3
+    )  # mostly full throttle or full brake: early crashes
 
     def act(observation, rows):
         n = len(rows)
         if kind == "random":
             actions = rng.uniform(-1, 1, (n, shape[1]))
         elif kind == "biased":
-            actions = bias[rows] + rng.normal(0, 0.3, (n, shape[1]))  # beyond [-1, 1] now and then, to be clipped
+            actions = bias[rows] + rng.normal(
+                0, 0.3, (n, shape[1])
+            )  # beyond [-1, 1] now and then, to be clipped
         elif kind == "gentle":
             actions = rng.uniform(-0.2, 0.2, (n, shape[1]))
         else:
@@ -33,14 +39,20 @@ def actions_of(kind, rng, shape, policy=None):
 
 
 def compare(config, scenes, act):
-    """Run whole episodes in the simulator, repeat them in highway-env; return the number of steps and what differed."""
+    """Run whole episodes in the simulator, repeat them in highway-env; return the number of steps
+    and what differed.
+    """
     starts, records = record(config, scenes, act)
     return sum(len(steps) for steps in records), repeat(config, scenes, starts, records)
 
 
 def record(config, scenes, act):
-    """Run whole episodes in the simulator; return first observations, and (action, observation, reward, flags) of steps."""
-    simulator = Simulator(config, Scenes.from_seeds(scenes, config.vehicles_range, config.obstacles))
+    """Run whole episodes in the simulator; return first observations, and (action, observation,
+    reward, flags) of steps.
+    """
+    simulator = Simulator(
+        config, Scenes.from_seeds(scenes, config.vehicles_range, config.obstacles)
+    )
     records = [[] for _ in scenes]
     rows, observation = np.arange(len(scenes)), simulator.observe()
     starts = {key: value.copy() for key, value in observation.items()}
@@ -49,7 +61,12 @@ def record(config, scenes, act):
         step = simulator.step(actions)
         for number, row in enumerate(rows):
             observed = {key: value[number] for key, value in step.observation.items()}
-            flags = step.terminated[number], step.truncated[number], step.failed[number], step.is_success[number]
+            flags = (
+                step.terminated[number],
+                step.truncated[number],
+                step.failed[number],
+                step.is_success[number],
+            )
             records[row].append((actions[number], observed, step.reward[number], flags))
         done = step.terminated | step.truncated
         simulator.keep(~done)
@@ -59,7 +76,9 @@ def record(config, scenes, act):
 
 
 def repeat(config, scenes, starts, records):
-    """Repeat recorded episodes in highway-env; return what differed, at most one entry for each scene."""
+    """Repeat recorded episodes in highway-env; return what differed, at most one entry for each
+    scene.
+    """
     env, mismatches = make_env(config), []
     for row, scene in enumerate(scenes):
         first, _ = env.reset(seed=int(scene))

@@ -1,6 +1,7 @@
 """Stores with made-up runs, for tests of what reads a store.
 
-Configs are really composed, run directories have the files that a training leaves, and the store gets them by `mirror`.
+Configs are really composed, run directories have the files that a training leaves, and the store
+gets them by `mirror`.
 """
 
 import json
@@ -38,8 +39,10 @@ class Look:
     """What a made-up run looks like.
 
     Attributes:
-        success, crash, parked: fractions of the episodes of its final evaluation; the others are timeouts.
-        curve: success rate of each evaluation, evenly spaced; None: a rise to `success` in every_n_steps.
+        success, crash, parked: fractions of the episodes of its final evaluation; the others are
+            timeouts.
+        curve: success rate of each evaluation, evenly spaced; None: a rise to `success` in
+            every_n_steps.
         progress: fraction of the evaluations that an unfinished run has made.
         missing, contents: artifacts that are missing, and those with other content.
         tags: that the store has besides or instead; None: a missing tag.
@@ -91,7 +94,12 @@ def make_store(
         whole = cell if isinstance(cell, RunConfig) else compose(*cell)
         tracking = whole.tracking.model_copy(update={"uri": uri})
         for seed in seeds:
-            update = {"experiment_name": experiment, "output_dir": str(output_dir), "seed": seed, "tracking": tracking}
+            update = {
+                "experiment_name": experiment,
+                "output_dir": str(output_dir),
+                "seed": seed,
+                "tracking": tracking,
+            }
             config = whole.model_copy(update=update)
             runs[label, seed] = RunDirectory(config.run_dir)
             _write(runs[label, seed], config, look(label, seed), label, where)
@@ -111,11 +119,15 @@ def compose(*overrides: str) -> RunConfig:
 
 
 def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.DataFrame:
-    """Return a table of episodes in which rates are as asked for; which scenes fail depends on the seed."""
+    """Return a table of episodes in which rates are as asked for; which scenes fail depends on the
+    seed.
+    """
     rng, n = np.random.default_rng([seed, len(scenes)]), len(scenes)
     succeed = round(success * n)
     crash = min(round(look.crash * n), n - succeed)
-    outcome = np.array(["success"] * succeed + ["crash"] * crash + ["timeout"] * (n - succeed - crash))
+    outcome = np.array(
+        ["success"] * succeed + ["crash"] * crash + ["timeout"] * (n - succeed - crash)
+    )
     parked = np.arange(n) < min(round(look.parked * n), succeed)
     order = rng.permutation(n)
     table = pd.DataFrame(
@@ -126,21 +138,25 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
             "steps": np.maximum(1, np.round(look.steps + rng.integers(-5, 6, n))).astype(int),
         }
     )
-    return table.assign(**{name: rng.uniform(0, 1, n) for name in episode_columns(METRICS) if name not in table})
+    return table.assign(
+        **{name: rng.uniform(0, 1, n) for name in episode_columns(METRICS) if name not in table}
+    )
 
 
 def _evaluated(config: RunConfig, look: Look) -> list[tuple[int, float]]:
     """Return (step, success rate) of the evaluations that a run has made."""
     total, rates = config.total_timesteps, look.curve
     if rates is None:
-        rates = np.linspace(0, look.success, max(1, total // (config.evaluation.every_n_steps or total)) + 1)[
-            1:
-        ].tolist()
+        rates = np.linspace(
+            0, look.success, max(1, total // (config.evaluation.every_n_steps or total)) + 1
+        )[1:].tolist()
     points = [(round(total * (k + 1) / len(rates)), rate) for k, rate in enumerate(rates)]
     return points if look.status == "done" else points[: math.floor(len(points) * look.progress)]
 
 
-def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], list[tuple[str, int, pd.DataFrame]]]:
+def _content(
+    config: RunConfig, look: Look
+) -> tuple[list[dict[str, Any]], list[tuple[str, int, pd.DataFrame]]]:
     """Return the lines of metrics, and (phase, step, episodes) of all evaluations."""
     evaluation, done = config.evaluation, look.status == "done"
     final_scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
@@ -156,18 +172,27 @@ def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], list[
         table = made_episodes(look, rate, scenes, config.seed + step)
         tables.append(("eval", step, table))
         share = step / config.total_timesteps
-        cost = {"time/cpu_s": look.cpu_s * share, "time/wall_s": WALL_S * share, "buffer/real_share": look.real_share}
+        cost = {
+            "time/cpu_s": look.cpu_s * share,
+            "time/wall_s": WALL_S * share,
+            "buffer/real_share": look.real_share,
+        }
         rows.append((step, {**_prefixed("eval", summarise(table, METRICS)), **cost}))
         before = step
     if done:
-        for phase, table in (("final", final), ("certified", final.head(evaluation.n_certified_scenes))):
+        for phase, table in (
+            ("final", final),
+            ("certified", final.head(evaluation.n_certified_scenes)),
+        ):
             tables.append((phase, before, table))
             rows[-1][1].update(_prefixed(phase, summarise(table, METRICS)))
     lines = [
         {
             "step": step,
             "time_ms": look.started_ms + step,
-            "metrics": {key: math.nan if key in look.nan else float(value) for key, value in values.items()},
+            "metrics": {
+                key: math.nan if key in look.nan else float(value) for key, value in values.items()
+            },
         }
         for step, values in rows
     ]
@@ -225,4 +250,6 @@ def _send(directory: RunDirectory, look: Look, store: Store) -> None:
     if look.settings:
         run = store.client.get_run(directory.run_id)
         config = store.artifact(directory.run_id, run.info.artifact_uri, "config.yaml")
-        store.put_artifact(run, "config.yaml", config + yaml.safe_dump({"x": dict(look.settings)}).encode())
+        store.put_artifact(
+            run, "config.yaml", config + yaml.safe_dump({"x": dict(look.settings)}).encode()
+        )

@@ -12,18 +12,26 @@ QUICK = (
     "experiment=smoke", "total_timesteps=60", "evaluation.final_n_scenes=3", "evaluation.every_n_steps=null",
     "evaluation.video_episodes=0", "tracking.mlflow=false", "tracking.tensorboard=false",
 )  # fmt: skip
-SLOW = ("algorithm._target_=support.user_algorithms.Lingers", "total_timesteps=200", "checkpoint.every_n_steps=50")
+SLOW = (
+    "algorithm._target_=support.user_algorithms.Lingers",
+    "total_timesteps=200",
+    "checkpoint.every_n_steps=50",
+)
 FAILING = {"PYTHONPATH": str(ROOT / "tests")}
 
 
 def sweep(output_dir, *arguments, **keywords):
-    return run_script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING, **keywords)
+    return run_script(
+        "train", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING, **keywords
+    )
 
 
 def begin(output_dir, *arguments, name="train", options=QUICK):
     """Start a sweep or a search in a session of its own, as a terminal would."""
     command, keywords = script(name, *options, f"output_dir={output_dir}", *arguments, env=FAILING)
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, **keywords)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, **keywords
+    )
 
 
 def statuses(output_dir):

@@ -1,6 +1,8 @@
-"""Processes that sync run directories at once, or are killed while they do: `python sync_processes.py WHAT PATHS`.
+"""Processes that sync run directories at once, or are killed while they do: `python
+sync_processes.py WHAT PATHS`.
 
-One process imports mlflow and forks the others, which start at the same moment. Nothing here imports torch.
+One process imports mlflow and forks the others, which start at the same moment. Nothing here
+imports torch.
 """
 
 import os
@@ -76,7 +78,9 @@ def train(directory, rows, checkpoints):
 
 
 def killed_sync(directory, moment):
-    """Sync, and kill this process at the n-th call or return in the modules that do it; 0: return how many there are."""
+    """Sync, and kill this process at the n-th call or return in the modules that do it; 0: return
+    how many there are.
+    """
     passed = 0
 
     def count(frame, event, _):
@@ -104,5 +108,7 @@ if __name__ == "__main__":
         first, *others = directories
         calls = killed_sync(first, 0)
         moments = [1 + number * calls // len(others) for number in range(len(others))]
-        endings = [statuses([forked(killed_sync, *pair)])[0] for pair in zip(others, moments, strict=True)]
+        endings = [
+            statuses([forked(killed_sync, *pair)])[0] for pair in zip(others, moments, strict=True)
+        ]
         print(calls, *endings)

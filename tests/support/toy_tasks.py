@@ -1,4 +1,6 @@
-"""Toy goal environments as a user's own package: `toy_tasks:BitFlip-v0` and some that are refused."""
+"""Toy goal environments as a user's own package: `toy_tasks:BitFlip-v0` and some that are
+refused.
+"""
 
 import multiprocessing
 import os
@@ -10,14 +12,18 @@ BITS = 8
 
 
 class BitFlip(gym.Env):
-    """Flip bits until they equal the goal (Andrychowicz et al. 2017, section 3.1), one bit per step.
+    """Flip bits until they equal the goal (Andrychowicz et al. 2017, section 3.1), one bit per
+    step.
 
-    The action has a number for each bit; the bit with the largest one is flipped. The reward is 0 at the goal, where
-    the episode ends, and -1 elsewhere.
+    The action has a number for each bit; the bit with the largest one is flipped. The reward is 0
+    at the goal, where the episode ends, and -1 elsewhere.
     """
 
     observation_space = gym.spaces.Dict(
-        {key: gym.spaces.Box(0, 1, (BITS,), np.float64) for key in ("observation", "achieved_goal", "desired_goal")}
+        {
+            key: gym.spaces.Box(0, 1, (BITS,), np.float64)
+            for key in ("observation", "achieved_goal", "desired_goal")
+        }
     )
     action_space = gym.spaces.Box(-1, 1, (BITS,), np.float32)
 
@@ -30,7 +36,13 @@ class BitFlip(gym.Env):
         flipped = int(np.argmax(action))
         self.bits[flipped] = 1 - self.bits[flipped]
         reward = float(self.compute_reward(self.bits, self.goal, {}))
-        return self._observe(), reward, reward == 0, False, {"is_success": reward == 0, "lost": False}
+        return (
+            self._observe(),
+            reward,
+            reward == 0,
+            False,
+            {"is_success": reward == 0, "lost": False},
+        )
 
     def compute_reward(self, achieved_goal, desired_goal, info):
         return np.where((achieved_goal == desired_goal).all(axis=-1), 0.0, -1.0)
@@ -39,7 +51,11 @@ class BitFlip(gym.Env):
         return bool((achieved_goal == desired_goal).all())
 
     def _observe(self):
-        return {"observation": self.bits.copy(), "achieved_goal": self.bits.copy(), "desired_goal": self.goal.copy()}
+        return {
+            "observation": self.bits.copy(),
+            "achieved_goal": self.bits.copy(),
+            "desired_goal": self.goal.copy(),
+        }
 
 
 class OneByOne(BitFlip):
@@ -63,7 +79,9 @@ class Priced(BitFlip):
     def step(self, action):
         observation, _, terminated, truncated, info = super().step(action)
         info["price"] = float(self.np_random.uniform())
-        reward = self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+        reward = self.compute_reward(
+            observation["achieved_goal"], observation["desired_goal"], info
+        )
         return observation, float(reward), terminated, truncated, info
 
     def compute_reward(self, achieved_goal, desired_goal, info):
@@ -83,7 +101,9 @@ class Worded(Priced):
     def step(self, action):
         observation, _, terminated, truncated, info = BitFlip.step(self, action)
         info["word"] = "wrong"
-        reward = self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+        reward = self.compute_reward(
+            observation["achieved_goal"], observation["desired_goal"], info
+        )
         return observation, float(reward), terminated, truncated, info
 
 
@@ -96,7 +116,11 @@ class Drawn(BitFlip):
         self.render_mode = render_mode
 
     def render(self):
-        return np.repeat(np.broadcast_to((255 * self.bits).astype(np.uint8)[None, :, None], (40, BITS, 3)), 10, axis=1)
+        return np.repeat(
+            np.broadcast_to((255 * self.bits).astype(np.uint8)[None, :, None], (40, BITS, 3)),
+            10,
+            axis=1,
+        )
 
 
 class Unseeded(BitFlip):

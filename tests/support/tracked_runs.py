@@ -21,10 +21,14 @@ def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
     """A run directory as at the start of a training."""
     smoke = _smoke_config()
     tracking = smoke.tracking.model_copy(update={"uri": uri})
-    config = smoke.model_copy(update={"output_dir": str(output_dir), "seed": seed, "tracking": tracking})
+    config = smoke.model_copy(
+        update={"output_dir": str(output_dir), "seed": seed, "tracking": tracking}
+    )
     directory = RunDirectory(config.run_dir)
     directory.create(config)
-    write_json(directory.path / "provenance.json", {"started_ms": started_ms, "tags": collect_provenance()})
+    write_json(
+        directory.path / "provenance.json", {"started_ms": started_ms, "tags": collect_provenance()}
+    )
     directory.update(status="running", tracking_uri=uri or default_uri(output_dir))
     return directory
 

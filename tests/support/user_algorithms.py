@@ -1,4 +1,6 @@
-"""Algorithms as users write them: that end their run in every way that it can end without a result, or lose weights."""
+"""Algorithms as users write them: that end their run in every way that it can end without a result,
+or lose weights.
+"""
 
 import json
 import os
@@ -57,7 +59,9 @@ class Tells(SAC):
         super().learn(*arguments, **keywords)
         told = {
             "cores": sorted(os.sched_getaffinity(0)),
-            "threads": {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")},
+            "threads": {
+                name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
+            },
             "torch": torch.get_num_threads(),
             "devices": os.environ.get("CUDA_VISIBLE_DEVICES"),
             "parent": os.getppid(),

@@ -9,7 +9,16 @@ from pathlib import Path
 
 import psutil
 import pytest
-from support.sweep_processes import FAILING, SLOW, begin, stages, statuses, sweep, trained, wait_until
+from support.sweep_processes import (
+    FAILING,
+    SLOW,
+    begin,
+    stages,
+    statuses,
+    sweep,
+    trained,
+    wait_until,
+)
 
 from parking_exp.errors import FailedRunError, UntrustedError
 from parking_exp.sweeps import slurm as slurm_launcher
@@ -17,14 +26,20 @@ from parking_exp.sweeps import slurm as slurm_launcher
 RAY = Path(sys.executable).with_name("ray")
 BASIC = ("hydra/launcher=basic",)
 SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local", "hydra.launcher.n_jobs=2")
-SLURM_CLUSTER = ("hydra/launcher=slurm", "hydra.launcher.parameters.mem_gb=1", "hydra.launcher.n_jobs=2")
+SLURM_CLUSTER = (
+    "hydra/launcher=slurm",
+    "hydra.launcher.parameters.mem_gb=1",
+    "hydra.launcher.n_jobs=2",
+)
 RAY_CLUSTER = ("hydra/launcher=ray",)
 LAUNCHERS = [BASIC, SLURM, SLURM_CLUSTER, RAY_CLUSTER]  # test_sweep.py is about the local one
 
 
 def ray(*arguments):
     environment = {**os.environ, **FAILING, "RAY_USAGE_STATS_ENABLED": "0"}
-    return subprocess.run([RAY, *arguments], check=True, capture_output=True, text=True, timeout=120, env=environment)
+    return subprocess.run(
+        [RAY, *arguments], check=True, capture_output=True, text=True, timeout=120, env=environment
+    )
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +56,10 @@ def cluster():
 @pytest.fixture
 def slurm():
     """A Slurm with two idle CPUs; tests use the real one, and are skipped where there is none."""
-    if shutil.which("sinfo") is None or subprocess.run(["sinfo"], capture_output=True, check=False).returncode:
+    if (
+        shutil.which("sinfo") is None
+        or subprocess.run(["sinfo"], capture_output=True, check=False).returncode
+    ):
         pytest.skip("there is no Slurm")
 
 
@@ -58,17 +76,20 @@ def launcher(request):
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", LAUNCHERS, indirect=True, ids=":".join)
 def test_every_run_is_trained_failures_are_reported_and_nothing_is_done_twice(tmp_path, launcher):
-    targets = (
-        "algorithm._target_=parking_exp.algorithms.SAC,support.user_algorithms.Raises,support.user_algorithms.IsKilled"
-    )
+    targets = "algorithm._target_=parking_exp.algorithms.SAC,support.user_algorithms.Raises,support.user_algorithms.IsKilled"
     done = sweep(tmp_path, targets, *launcher, timeout=300)
     assert done.returncode == 2
-    errors = {status["label"].rpartition(".")[2]: status.get("error") for status in statuses(tmp_path).values()}
+    errors = {
+        status["label"].rpartition(".")[2]: status.get("error")
+        for status in statuses(tmp_path).values()
+    }
     assert errors == {
         "SAC": None, "Raises": "RuntimeError: a bad <day> [bold]", "IsKilled": "killed by SIGKILL (out of memory?)"
     }  # fmt: skip
     again = sweep(tmp_path, targets, *launcher, "dry_run=true")
-    assert "3 runs: 1 done, 1 failed before (retry=failed runs them again), 1 to run" in again.stdout
+    assert (
+        "3 runs: 1 done, 1 failed before (retry=failed runs them again), 1 to run" in again.stdout
+    )
     assert trained(tmp_path) == [1, 1, 1]
 
 
@@ -81,7 +102,9 @@ def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path, launcher):
     process.communicate()
     done = sweep(tmp_path, "seeds=3", *SLOW, *launcher, timeout=300)
     assert done.returncode == 0, done.stderr
-    wait_until(lambda: stages(tmp_path) == ["done"] * 3)  # submitit's jobs outlive the sweep that submitted them
+    wait_until(
+        lambda: stages(tmp_path) == ["done"] * 3
+    )  # submitit's jobs outlive the sweep that submitted them
 
 
 @pytest.mark.parametrize("launcher", [SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
@@ -99,19 +122,28 @@ def test_ctrl_c_saves_what_is_under_way(tmp_path, launcher):
 @pytest.mark.slow
 def test_a_job_that_is_killed_is_reported_in_one_sentence_and_the_sweep_returns(tmp_path):
     process = begin(tmp_path, "seeds=2", *SLOW, *SLURM)
-    wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
-    (worker,) = [status["pid"] for (_, seed), status in statuses(tmp_path).items() if seed == "seed=0"]
+    wait_until(
+        lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2
+    )
+    (worker,) = [
+        status["pid"] for (_, seed), status in statuses(tmp_path).items() if seed == "seed=0"
+    ]
     psutil.Process(worker).parent().kill()
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 2
     (line,) = [line for line in errors.splitlines() if "ended early" in line]
     assert line.startswith("error: 1 of 2 jobs ended early")
-    assert stages(tmp_path) == ["done", "running"]  # the second says so for good, and its lock is free
+    assert stages(tmp_path) == [
+        "done",
+        "running",
+    ]  # the second says so for good, and its lock is free
 
 
 @pytest.fixture
 def fake(tmp_path, monkeypatch):
-    """Put shell scripts on PATH: the n-th call of a command does its n-th line, further ones its last."""
+    """Put shell scripts on PATH: the n-th call of a command does its n-th line, further ones its
+    last.
+    """
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     monkeypatch.setitem(slurm_launcher.POLL_S, "slurm", 0)
 
@@ -131,18 +163,24 @@ def fake(tmp_path, monkeypatch):
 def train_on_slurm(tmp_path, n_jobs=None):
     """Train two runs, which the fake Slurm never starts."""
     pytest.importorskip("submitit")
-    launcher = slurm_launcher.SlurmLauncher("slurm", n_jobs, str(tmp_path / "submitit"), {"mem_gb": 1})
+    launcher = slurm_launcher.SlurmLauncher(
+        "slurm", n_jobs, str(tmp_path / "submitit"), {"mem_gb": 1}
+    )
     problem = launcher.train([tmp_path / f"seed={seed}" for seed in range(2)])
     return problem, (tmp_path / "calls").read_text().split()
 
 
-def test_a_job_is_waited_for_while_squeue_lists_it_or_fails_and_its_log_is_named(tmp_path, fake, capsys):
+def test_a_job_is_waited_for_while_squeue_lists_it_or_fails_and_its_log_is_named(
+    tmp_path, fake, capsys
+):
     fake("sbatch", "echo Submitted batch job 7", "echo Submitted batch job 8")
     fake("squeue", "echo 7; echo 70", "echo no controller >&2; exit 1", "echo 70", "echo 8", "true")
     problem, calls = train_on_slurm(tmp_path, n_jobs=1)
     assert calls == ["sbatch", *["squeue"] * 3, "sbatch", *["squeue"] * 2]
     assert capsys.readouterr().err.count("warning: ") == 1
-    assert problem.startswith("2 of 2 jobs ended early, stopped by Slurm or a signal; the first log: ")
+    assert problem.startswith(
+        "2 of 2 jobs ended early, stopped by Slurm or a signal; the first log: "
+    )
     assert problem.endswith(f"{tmp_path}/submitit/7/7_0_log.err")
 
 
@@ -152,7 +190,13 @@ def test_a_job_that_slurm_refuses_cancels_those_before_it(tmp_path, fake):
     fake("squeue", "true")
     with pytest.raises(FailedRunError, match="over the limit"):
         train_on_slurm(tmp_path)
-    assert (tmp_path / "calls").read_text().split() == ["sbatch", "sbatch", "scancel", "7", "squeue"]
+    assert (tmp_path / "calls").read_text().split() == [
+        "sbatch",
+        "sbatch",
+        "scancel",
+        "7",
+        "squeue",
+    ]
 
 
 def test_a_link_out_of_the_output_directory_is_refused_where_submitit_would_write(tmp_path):

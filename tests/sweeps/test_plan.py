@@ -8,7 +8,12 @@ from parking_exp.sweeps.sweep import plan
 
 
 def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
-    arguments = (*QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=3", "buffer=her_future,her_final")
+    arguments = (
+        *QUICK,
+        f"output_dir={tmp_path / 'outputs'}",
+        "seeds=3",
+        "buffer=her_future,her_final",
+    )
     done = call_script("train", *arguments, "dry_run=true", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
@@ -20,8 +25,14 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
 
 
 def test_labels_of_a_sweep_are_what_differs_between_its_cells(tmp_path):
-    axes = ["buffer.n_sampled_goal=2,4", "algorithm.gamma=0.9", "buffer.goal_selection_strategy=final,future"]
-    runs = plan(compose_runs("config", [*QUICK, "buffer=her_final", *axes, f"output_dir={tmp_path}"]))
+    axes = [
+        "buffer.n_sampled_goal=2,4",
+        "algorithm.gamma=0.9",
+        "buffer.goal_selection_strategy=final,future",
+    ]
+    runs = plan(
+        compose_runs("config", [*QUICK, "buffer=her_final", *axes, f"output_dir={tmp_path}"])
+    )
     assert [run.label for run in runs] == [
         f"goal_selection_strategy={strategy}, n_sampled_goal={number}"
         for number in (2, 4)

@@ -9,7 +9,17 @@ import time
 
 import pytest
 from support.runs import call_script, run_script, script
-from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
+from support.sweep_processes import (
+    QUICK,
+    SLOW,
+    begin,
+    stages,
+    statuses,
+    sweep,
+    trained,
+    wait_until,
+    workers,
+)
 
 from parking_exp.config.compose import compose_runs
 from parking_exp.runs.directory import RunDirectory
@@ -32,7 +42,9 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
     first = call_script(*command, *TWO)
     assert first.returncode == 2
     assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "done", "error:"]
-    assert first.stderr.endswith("error: of 2 runs, 1 failed; retry=failed runs failed ones again\n")
+    assert first.stderr.endswith(
+        "error: of 2 runs, 1 failed; retry=failed runs failed ones again\n"
+    )
     done = call_script(*command, "retry=failed")
     assert done.returncode == 0, done.stderr
     assert stages(tmp_path) == ["done"] * 2
@@ -49,28 +61,44 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
 @pytest.mark.slow
 def test_every_way_to_fail_is_reported_and_the_other_runs_go_on(tmp_path):
     kinds = ["Raises", "Exits", "IsKilled", "Vanishes"]
-    targets = ",".join(["parking_exp.algorithms.SAC", *(f"support.user_algorithms.{kind}" for kind in kinds)])
+    targets = ",".join(
+        ["parking_exp.algorithms.SAC", *(f"support.user_algorithms.{kind}" for kind in kinds)]
+    )
     done = sweep(tmp_path, f"algorithm._target_={targets}")
     assert done.returncode == 2
-    reasons = {status["label"].rpartition(".")[2]: status.get("error") for status in statuses(tmp_path).values()}
+    reasons = {
+        status["label"].rpartition(".")[2]: status.get("error")
+        for status in statuses(tmp_path).values()
+    }
     assert reasons["SAC"] is None
     assert reasons["Raises"] == "RuntimeError: a bad <day> [bold]"
     assert reasons["Exits"] == "SystemExit: 3"
     assert reasons["IsKilled"] == "killed by SIGKILL (out of memory?)"
-    assert reasons["Vanishes"].startswith("its process ended with status 0 and without a result; see ")
+    assert reasons["Vanishes"].startswith(
+        "its process ended with status 0 and without a result; see "
+    )
     for kind in kinds:
-        assert f"failed   _target_=support.user_algorithms.{kind} seed=0: {reasons[kind]}" in done.stdout
+        assert (
+            f"failed   _target_=support.user_algorithms.{kind} seed=0: {reasons[kind]}"
+            in done.stdout
+        )
     assert "of 5 runs, 4 failed" in done.stderr.splitlines()[-1]
     # A kill says nothing about the run; the others would fail again.
     again = sweep(tmp_path, f"algorithm._target_={targets}", "dry_run=true")
-    assert "5 runs: 1 done, 3 failed before (retry=failed runs them again), 1 to run" in again.stdout
+    assert (
+        "5 runs: 1 done, 3 failed before (retry=failed runs them again), 1 to run" in again.stdout
+    )
     again = sweep(tmp_path, f"algorithm._target_={targets}", "retry=failed", "dry_run=true")
     assert "5 runs: 1 done, 4 to run" in again.stdout
 
 
 @pytest.mark.slow
 def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
-    hangs = ("algorithm._target_=support.user_algorithms.Hangs", "timeout_s=2", "hydra/launcher=local")
+    hangs = (
+        "algorithm._target_=support.user_algorithms.Hangs",
+        "timeout_s=2",
+        "hydra/launcher=local",
+    )
     done = sweep(tmp_path, "seeds=[0]", *hangs, timeout=60)
     assert done.returncode == 2
     (status,) = statuses(tmp_path).values()
@@ -81,7 +109,9 @@ def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
 @pytest.mark.slow
 def test_no_worker_outlives_a_sweep_that_is_killed_and_a_rerun_resumes_it(tmp_path):
     process = begin(tmp_path, "seeds=3", *SLOW, *TWO)
-    wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
+    wait_until(
+        lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2
+    )
     assert len(workers(tmp_path)) == 2
     process.kill()
     process.communicate()
@@ -112,7 +142,10 @@ def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
 
 @pytest.mark.slow
 def test_two_sweeps_at_once_share_the_work(tmp_path):
-    both = [begin(tmp_path, "seeds=4", "hydra.launcher.n_jobs=1", *SLOW[:1], "total_timesteps=100") for _ in range(2)]
+    both = [
+        begin(tmp_path, "seeds=4", "hydra.launcher.n_jobs=1", *SLOW[:1], "total_timesteps=100")
+        for _ in range(2)
+    ]
     wait_until(lambda: stages(tmp_path).count("running") == 2)  # with one job at a time each
     for process in both:
         _, errors = process.communicate(timeout=180)
@@ -126,7 +159,9 @@ def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
     other = begin(tmp_path, "seeds=2", *SLOW, *TWO)
     wait_until(lambda: stages(tmp_path).count("running") == 2)
     ours = begin(tmp_path, "seeds=2", *SLOW, *TWO)
-    wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
+    wait_until(
+        lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2
+    )
     time.sleep(3)
     assert ours.poll() is None  # it waits, though there is nothing for it to run
     other.kill()
@@ -160,7 +195,9 @@ def test_the_monitor_tells_whether_a_stopped_run_has_a_checkpoint(tmp_path):
 
 
 def test_a_run_whose_frozen_config_is_broken_or_of_another_run_fails(tmp_path):
-    broken, another, last = plan(compose_runs("config", [*QUICK, "seeds=3", f"output_dir={tmp_path}"]))
+    broken, another, last = plan(
+        compose_runs("config", [*QUICK, "seeds=3", f"output_dir={tmp_path}"])
+    )
     for run, config in ((broken, broken.config), (another, last.config)):
         RunDirectory(run.path).write_plan(config, run.label, None)
     (broken.path / "config.yaml").write_text("a: [b")
@@ -175,7 +212,9 @@ def test_the_configs_of_queued_runs_are_frozen(tmp_path):
     """The experiment file changes while the sweep runs: its queued runs do not, new ones would."""
     (tmp_path / "mine" / "experiment").mkdir(parents=True)
     file = tmp_path / "mine" / "experiment" / "mine.yaml"
-    text = "# @package _global_\ndefaults: [smoke]\nexperiment_name: mine\nalgorithm: {gamma: 0.9}\n"
+    text = (
+        "# @package _global_\ndefaults: [smoke]\nexperiment_name: mine\nalgorithm: {gamma: 0.9}\n"
+    )
     file.write_text(text)
     command, keywords = script(
         "train", "--config-dir", str(tmp_path / "mine"), "experiment=mine", *QUICK[1:], "seeds=2",
@@ -197,7 +236,9 @@ SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
 def test_a_plan_warns_of_a_ratio_far_from_what_the_number_of_envs_suggests(tmp_path):
     done = call_script("train", "n_envs=8", "seeds=2", "dry_run=true", f"output_dir={tmp_path}")
     assert done.returncode == 0
-    assert done.stderr.startswith("warning: updates_per_step=0.03125 is far from 1, which n_envs=8 suggests; envs=few ")
+    assert done.stderr.startswith(
+        "warning: updates_per_step=0.03125 is far from 1, which n_envs=8 suggests; envs=few "
+    )
     assert done.stderr.count("\n") == 1
 
 
@@ -209,7 +250,9 @@ def test_a_launcher_in_an_experiment_file_makes_the_sweep_use_it(tmp_path, monke
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "srun" in done.stderr
     path.write_text("# @package _global_\ndefaults: [smoke]\nhydra: {launcher: {n_jobs: 0}}\n")
-    done = call_script("train", f"experiment={path}", "seeds=2", f"output_dir={tmp_path / 'outputs'}")
+    done = call_script(
+        "train", f"experiment={path}", "seeds=2", f"output_dir={tmp_path / 'outputs'}"
+    )
     assert done.stderr.startswith("error: hydra.launcher.n_jobs=0")
     assert list(tmp_path.iterdir()) == [path]
 
@@ -224,13 +267,20 @@ def test_a_launcher_in_an_experiment_file_makes_the_sweep_use_it(tmp_path, monke
         (["hydra.launcher.n_jobs=0"], "hydra.launcher.n_jobs=0"),
         (["hydra/launcher=ray"], "ray"),  # not installed, or without a cluster
         ([*SLURM, "hydra.launcher.executor=slurm"], "srun"),
-        ([*SLURM, "hydra.launcher.parameters.slurm_nodelist=n1"], "hydra.launcher.parameters.slurm_nodelist"),
+        (
+            [*SLURM, "hydra.launcher.parameters.slurm_nodelist=n1"],
+            "hydra.launcher.parameters.slurm_nodelist",
+        ),
         ([*SLURM, "+hydra.launcher.parameters.slurm_qso=high"], "qso"),
         ([*SLURM, "hydra.launcher.parameters.timeout_min=long"], "timeout_min"),
     ],
 )
-def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(tmp_path, monkeypatch, arguments, words):
-    monkeypatch.setenv("PATH", str(tmp_path))  # without Slurm's commands, also where there is a Slurm
+def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(
+    tmp_path, monkeypatch, arguments, words
+):
+    monkeypatch.setenv(
+        "PATH", str(tmp_path)
+    )  # without Slurm's commands, also where there is a Slurm
     done = call_script("train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", *arguments)
     assert done.returncode == 2
     assert words in done.stderr
@@ -240,13 +290,18 @@ def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(tm
 
 
 def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted():
-    keys = ("hydra.launcher.parameters.slurm_qos=high", "+hydra.launcher.parameters.slurm_nodelist=n1")
+    keys = (
+        "hydra.launcher.parameters.slurm_qos=high",
+        "+hydra.launcher.parameters.slurm_nodelist=n1",
+    )
     assert launcher_of(compose_runs("config", [*SLURM, *keys])).parameters["slurm_nodelist"] == "n1"
 
 
 @pytest.mark.slow
 def test_a_worker_that_slurm_signals_twice_still_saves_its_checkpoint(tmp_path):
-    process = begin(tmp_path, "seeds=[0]", *SLOW[:2], "checkpoint.every_n_steps=null", "hydra/launcher=local")
+    process = begin(
+        tmp_path, "seeds=[0]", *SLOW[:2], "checkpoint.every_n_steps=null", "hydra/launcher=local"
+    )
     wait_until(lambda: any(tmp_path.glob("*/*/*/metrics.jsonl")))
     (worker,) = workers(tmp_path)
     os.kill(worker, signal.SIGTERM)

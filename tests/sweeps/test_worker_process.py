@@ -12,15 +12,31 @@ import psutil
 import pytest
 from support.run_equality import differences
 from support.runs import call_script, run_script, store
-from support.sweep_processes import QUICK, SLOW, begin, is_alive, stages, statuses, sweep, wait_until, workers
+from support.sweep_processes import (
+    QUICK,
+    SLOW,
+    begin,
+    is_alive,
+    stages,
+    statuses,
+    sweep,
+    wait_until,
+    workers,
+)
 
 from parking_exp.results.frames import load
 from parking_exp.sweeps import local
 
 TWO = ("seeds=2", "hydra.launcher.n_jobs=2")
 TELLS = "algorithm._target_=support.user_algorithms.Tells"
-START_METHODS = [method for method in ("forkserver", "spawn") if method in multiprocessing.get_all_start_methods()]
-FORKED = pytest.mark.skipif(local.LOCAL_START_METHOD != "forkserver", reason="workers are not forked on this system")
+START_METHODS = [
+    method
+    for method in ("forkserver", "spawn")
+    if method in multiprocessing.get_all_start_methods()
+]
+FORKED = pytest.mark.skipif(
+    local.LOCAL_START_METHOD != "forkserver", reason="workers are not forked on this system"
+)
 
 SERVER = """
 import sys, psutil, parking_exp.sweeps.server, torch
@@ -50,7 +66,9 @@ def test_runs_of_workers_equal_a_run_of_train_py(tmp_path, monkeypatch, start_me
 
 
 @FORKED
-def test_workers_of_a_process_share_a_server_but_have_the_environment_of_their_sweep(tmp_path, monkeypatch):
+def test_workers_of_a_process_share_a_server_but_have_the_environment_of_their_sweep(
+    tmp_path, monkeypatch
+):
     parents = set()
     for name in ("first", "second"):
         folder = tmp_path / name
@@ -60,20 +78,26 @@ def test_workers_of_a_process_share_a_server_but_have_the_environment_of_their_s
         assert done.returncode == 0, done.stderr
         told = [json.loads(path.read_text()) for path in folder.glob("*.json")]
         assert len(told) == 2
-        assert {facts["session"] for facts in told} == {int(path.stem) for path in folder.glob("*.json")}
+        assert {facts["session"] for facts in told} == {
+            int(path.stem) for path in folder.glob("*.json")
+        }
         parents |= {facts["parent"] for facts in told}
     (server,) = parents
     assert psutil.Process(server).ppid() == psutil.Process().pid
 
 
 def test_a_script_without_a_main_guard_runs_once(tmp_path):
-    """As all programs that start processes with `multiprocessing`, it would be imported by each of them."""
+    """As all programs that start processes with `multiprocessing`, it would be imported by each of
+    them.
+    """
     arguments = ["train", *QUICK, "seeds=2", f"output_dir={tmp_path / 'outputs'}"]
     program = tmp_path / "mine.py"
     program.write_text(
         f"import sys\nprint('once')\nsys.argv = {arguments}\nfrom parking_exp.cli.train import main\nmain()\n"
     )
-    done = subprocess.run([sys.executable, program], check=False, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, program], check=False, capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     logs = [path.read_text() for path in tmp_path.glob("outputs/*/*/*/log.txt")]
     assert [done.stdout.count("once"), *(log.count("once") for log in logs)] == [1, 0, 0]
@@ -81,8 +105,12 @@ def test_a_script_without_a_main_guard_runs_once(tmp_path):
 
 def test_workers_import_the_package_of_their_sweep_and_not_that_of_the_working_directory(tmp_path):
     (tmp_path / "parking_exp").mkdir()
-    (tmp_path / "parking_exp" / "__init__.py").write_text("raise RuntimeError('another checkout')\n")
-    done = run_script("train", *QUICK, "seeds=2", f"output_dir={tmp_path / 'outputs'}", cwd=tmp_path)
+    (tmp_path / "parking_exp" / "__init__.py").write_text(
+        "raise RuntimeError('another checkout')\n"
+    )
+    done = run_script(
+        "train", *QUICK, "seeds=2", f"output_dir={tmp_path / 'outputs'}", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -105,7 +133,9 @@ def test_the_server_outlives_signals_and_ends_with_a_sweep_that_is_killed(tmp_pa
 @FORKED
 def test_runs_whose_server_is_killed_end_and_the_next_sweep_resumes_them(tmp_path):
     process = begin(tmp_path, *TWO, *SLOW)
-    wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
+    wait_until(
+        lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2
+    )
     pids = workers(tmp_path)
     (server,) = {psutil.Process(worker).ppid() for worker in pids}
     psutil.Process(server).kill()
@@ -122,7 +152,9 @@ def test_runs_whose_server_is_killed_end_and_the_next_sweep_resumes_them(tmp_pat
 
 def test_workers_import_no_mlflow(tmp_path, monkeypatch):
     monkeypatch.setenv("TELLS", str(tmp_path))
-    done = call_script("train", *QUICK, TELLS, *TWO, "tracking.mlflow=true", f"output_dir={tmp_path / 'outputs'}")
+    done = call_script(
+        "train", *QUICK, TELLS, *TWO, "tracking.mlflow=true", f"output_dir={tmp_path / 'outputs'}"
+    )
     assert done.returncode == 0, done.stderr
     told = [json.loads(path.read_text()) for path in tmp_path.glob("*.json")]
     assert [facts["store_modules"] for facts in told] == [[], []]

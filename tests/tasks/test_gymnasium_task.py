@@ -1,4 +1,6 @@
-"""Any goal environment of Gymnasium as a task: what is refused, what an episode is, learning, exact resume."""
+"""Any goal environment of Gymnasium as a task: what is refused, what an episode is, learning, exact
+resume.
+"""
 
 import json
 import os
@@ -38,7 +40,11 @@ def config(env_id, *overrides):
 @pytest.mark.parametrize(
     ("env_id", "overrides", "reason"),
     [
-        ("FetchReech-v4", [], "not registered with Gymnasium; .*MODULE:FetchReech-v4; did you mean 'FetchReach-v4'"),
+        (
+            "FetchReech-v4",
+            [],
+            "not registered with Gymnasium; .*MODULE:FetchReech-v4; did you mean 'FetchReach-v4'",
+        ),
         ("no_such_module:X-v0", [], "needs the module no_such_module, which is not installed"),
         (f"{TOY}Worded-v0", [], "compute_reward depends on more than goals and the numbers"),
         ("racetrack-v0", [], "not a goal environment: its observation has no desired_goal"),
@@ -47,26 +53,58 @@ def config(env_id, *overrides):
         (f"{TOY}Broken-v0", [], "env.id=.*Broken-v0: RuntimeError: no licence found"),
         (f"{TOY}BitFlip-v0", ["buffer.relabel_collision=keep"], "buffer.relabel_collision=keep"),
         (f"{TOY}OneByOne-v0", [], "compute_reward is not vectorised"),
-        (f"{TOY}OtherReward-v0", [], "compute_reward gives -1 for a step of reward -1.5.*env.failure_key"),
+        (
+            f"{TOY}OtherReward-v0",
+            [],
+            "compute_reward gives -1 for a step of reward -1.5.*env.failure_key",
+        ),
         (f"{TOY}Endless-v0", [], "set env.max_episode_steps"),
         (f"{TOY}BitFlip-v0", ["env.failure_key=lots"], "env.failure_key=lots.* is_success, lost"),
         (f"{TOY}BitFlip-v0", ["env.success_key=won"], "env.success_key=won"),
-        (f"{TOY}BitFlip-v0", ["env.failure_key=is_success"], "^env.failure_key=is_success tells of success"),
+        (
+            f"{TOY}BitFlip-v0",
+            ["env.failure_key=is_success"],
+            "^env.failure_key=is_success tells of success",
+        ),
         (
             f"{TOY}BitFlip-v0",
             ["env.success_key=lost", "env.failure_key=lost"],
             "^env.failure_key=lost tells of success",
         ),
         (f"{TOY}BitFlip-v0", ["+env.kwargs.bits=3"], "env.kwargs.*bits"),
-        (f"{TOY}BitFlip-v0", ["algorithm.features=ego", "algorithm.normalize=false"], "algorithm.features=ego"),
-        (f"{TOY}BitFlip-v0", ["algorithm.learning_starts=63"], "algorithm.learning_starts=63: .* at least 64"),
-        (f"{TOY}BitFlip-v0", ["env.max_steps=3"], "env.max_steps.*did you mean 'max_episode_steps'"),
+        (
+            f"{TOY}BitFlip-v0",
+            ["algorithm.features=ego", "algorithm.normalize=false"],
+            "algorithm.features=ego",
+        ),
+        (
+            f"{TOY}BitFlip-v0",
+            ["algorithm.learning_starts=63"],
+            "algorithm.learning_starts=63: .* at least 64",
+        ),
+        (
+            f"{TOY}BitFlip-v0",
+            ["env.max_steps=3"],
+            "env.max_steps.*did you mean 'max_episode_steps'",
+        ),
         (f"{TOY}OwnGoal-v0", [], "compute_reward ignores its desired_goal"),
-        (f"{TOY}IntegerActions-v0", [], r"actions Box\(-5, 5, \(8,\), int64\); they have to be float32"),
-        (f"{TOY}Drawn-v0", ["+env.kwargs.render_mode=human"], "env.kwargs.render_mode=human: envs open no windows"),
+        (
+            f"{TOY}IntegerActions-v0",
+            [],
+            r"actions Box\(-5, 5, \(8,\), int64\); they have to be float32",
+        ),
+        (
+            f"{TOY}Drawn-v0",
+            ["+env.kwargs.render_mode=human"],
+            "env.kwargs.render_mode=human: envs open no windows",
+        ),
         ("PandaReach-v3", [], "name the module that registers it: env.id=MODULE:PandaReach-v3"),
         (f"{TOY}BitFlop-v0", [], "toy_tasks registers no BitFlop-v0; did you mean 'BitFlip-v0'"),
-        (f"{TOY}BitFlip-v0", ["env.vectorization=threads"], "env.vectorization='threads'.*'sync' or 'async'"),
+        (
+            f"{TOY}BitFlip-v0",
+            ["env.vectorization=threads"],
+            "env.vectorization='threads'.*'sync' or 'async'",
+        ),
     ],
 )
 def test_what_is_no_goal_task_is_refused_in_a_sentence_that_says_why(env_id, overrides, reason):
@@ -90,7 +128,9 @@ def test_an_episode_ends_at_the_goal_or_at_the_limit_with_seeds_that_reproduce_i
     assert set(table["outcome"]) == {"timeout", "success"}
     assert (table.loc[~reached, "steps"] == 8).all()
     assert (table["return"] == reached - table["steps"]).all()
-    failing = make_task(config(f"{TOY}BitFlip-v0", "env.success_key=lost", "env.failure_key=is_success").env)
+    failing = make_task(
+        config(f"{TOY}BitFlip-v0", "env.success_key=lost", "env.failure_key=is_success").env
+    )
     assert (evaluate(but_the_first, failing, range(30))["outcome"] == "failure").equals(reached)
 
 
@@ -98,7 +138,11 @@ def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_the
     reward = GymnasiumReward(config(f"{TOY}BitFlip-v0").env)
     goals = np.eye(8)
     rewards, reached = reward(goals, goals[[0, 1, 2, 0, 4, 5, 6, 0]])
-    assert reached.tolist() == (rewards == 0).tolist() == [True, True, True, False, True, True, True, False]
+    assert (
+        reached.tolist()
+        == (rewards == 0).tolist()
+        == [True, True, True, False, True, True, True, False]
+    )
     assert reward.terminates
     fetch, maze = (
         GymnasiumReward(validate(compose_configs("config", [f"env={env}"])[0]).env)
@@ -106,9 +150,17 @@ def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_the
     )
     assert (fetch.terminates, maze.terminates) == (False, True)
     goal = np.zeros((1, 3))
-    assert [fetch(goal + offset, goal)[1].item() for offset in (0.0, 0.02, 0.04)] == [True, True, False]
+    assert [fetch(goal + offset, goal)[1].item() for offset in (0.0, 0.02, 0.04)] == [
+        True,
+        True,
+        False,
+    ]
     at = np.array([[0.0, 0.0]])
-    assert [maze(at + offset, at)[1].item() for offset in (0.0, 0.3, 0.35)] == [True, True, False]  # within 0.45 m
+    assert [maze(at + offset, at)[1].item() for offset in (0.0, 0.3, 0.35)] == [
+        True,
+        True,
+        False,
+    ]  # within 0.45 m
 
 
 def test_what_the_reward_needs_of_info_is_stored_and_relabelled_with():
@@ -122,19 +174,26 @@ def test_what_the_reward_needs_of_info_is_stored_and_relabelled_with():
     batch, stored = buffer.sample(200), buffer.storage.data[:100]
     prices = set(np.float32(stored["info"][:, :, 2]).ravel().tolist())
     assert len(prices) > 150
-    reached = (batch.next_observations["achieved_goal"] == batch.observations["desired_goal"]).all(dim=1)
+    reached = (batch.next_observations["achieved_goal"] == batch.observations["desired_goal"]).all(
+        dim=1
+    )
     paid = (reached.float() - 1 - batch.rewards[:, 0]).numpy()
     assert np.abs(paid[:, None] - np.array(sorted(prices), np.float32)).min(axis=1).max() < 1e-6
 
 
-SYNC, ASYNC = (("env=gymnasium", f"env.id={TOY}BitFlip-v0", f"env.vectorization={name}") for name in ("sync", "async"))
+SYNC, ASYNC = (
+    ("env=gymnasium", f"env.id={TOY}BitFlip-v0", f"env.vectorization={name}")
+    for name in ("sync", "async")
+)
 HIGHWAY = ("env=parking_sparse", "env.simulator=highway_env", "env.training_duration=2")
 
 
 @pytest.mark.parametrize("overrides", slow_but([SYNC, HIGHWAY], [SYNC, ASYNC, HIGHWAY]))
 def test_training_envs_continue_identically_after_restoring(overrides):
     """In the middle of an episode; the next episodes are the same, too."""
-    env = validate(compose_configs("config", [*overrides, "n_envs=2", "algorithm.learning_starts=1000"])[0]).env
+    env = validate(
+        compose_configs("config", [*overrides, "n_envs=2", "algorithm.learning_starts=1000"])[0]
+    ).env
     first, second = make_training_envs(env, 2), make_training_envs(env, 2)
     first.seed(0)
     first.reset()
@@ -145,7 +204,10 @@ def test_training_envs_continue_identically_after_restoring(overrides):
     second.reset()
     set_state(second, get_state(first))
     for action in actions[13:]:
-        (obs, rewards, dones, _), (other_obs, other_rewards, other_dones, _) = first.step(action), second.step(action)
+        (obs, rewards, dones, _), (other_obs, other_rewards, other_dones, _) = (
+            first.step(action),
+            second.step(action),
+        )
         assert all(np.array_equal(obs[key], other_obs[key]) for key in obs)
         assert (rewards.tolist(), dones.tolist()) == (other_rewards.tolist(), other_dones.tolist())
     first.close()
@@ -154,7 +216,12 @@ def test_training_envs_continue_identically_after_restoring(overrides):
 
 @pytest.mark.parametrize(
     ("env_id", "exactly"),
-    [(f"{TOY}BitFlip-v0", True), (f"{TOY}Unseeded-v0", False), ("FetchReach-v4", True), ("PointMaze_UMaze-v3", True)],
+    [
+        (f"{TOY}BitFlip-v0", True),
+        (f"{TOY}Unseeded-v0", False),
+        ("FetchReach-v4", True),
+        ("PointMaze_UMaze-v3", True),
+    ],
 )
 def test_environments_that_cannot_resume_exactly_are_recognised(env_id, exactly):
     assert resumes_exactly(config(env_id, "n_envs=1").env) is exactly
@@ -186,7 +253,9 @@ def test_without_egl_and_osmesa_there_is_a_reason_and_no_video(monkeypatch):
 
 
 def test_any_goal_task_can_be_searched(tmp_path):
-    done = call_script("tune", "search=goal_task", "env=fetch_reach", "dry_run=true", f"output_dir={tmp_path}")
+    done = call_script(
+        "tune", "search=goal_task", "env=fetch_reach", "dry_run=true", f"output_dir={tmp_path}"
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -206,7 +275,11 @@ def test_ctrl_c_reaches_the_processes_of_envs_too_and_the_run_resumes(tmp_path):
     ]  # fmt: skip
     command, keywords = script("train", *arguments)
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True, **keywords
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+        **keywords,
     )
     wait_until(lambda: process.poll() is not None or any(step > 200 for step in steps_of(tmp_path)))
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
@@ -221,4 +294,6 @@ def test_ctrl_c_reaches_the_processes_of_envs_too_and_the_run_resumes(tmp_path):
 
 
 def steps_of(output_dir):
-    return [json.loads(path.read_text())["step"] for path in output_dir.glob("*/*/seed=*/beat.json")]
+    return [
+        json.loads(path.read_text())["step"] for path in output_dir.glob("*/*/seed=*/beat.json")
+    ]

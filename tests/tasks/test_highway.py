@@ -28,8 +28,14 @@ def test_what_the_cross_check_leaves_out_changes_no_bit_of_a_step(option):
             assert np.array_equal(getattr(ours, name), getattr(theirs, name))
         going_on = ~(theirs.terminated | theirs.truncated)
         for env, other in zip(batch.envs, plain.envs, strict=True):
-            for car, same in zip(env.unwrapped.road.vehicles, other.unwrapped.road.vehicles, strict=True):
-                assert (*car.position, car.heading, car.speed) == (*same.position, same.heading, same.speed)
+            for car, same in zip(
+                env.unwrapped.road.vehicles, other.unwrapped.road.vehicles, strict=True
+            ):
+                assert (*car.position, car.heading, car.speed) == (
+                    *same.position,
+                    same.heading,
+                    same.speed,
+                )
         batch.keep(going_on)
         plain.keep(going_on)
         bias = bias[going_on]

@@ -1,4 +1,6 @@
-"""Other vehicles in the observation and their number: in the simulator, on highway-env, in the features."""
+"""Other vehicles in the observation and their number: in the simulator, on highway-env, in the
+features.
+"""
 
 import itertools
 from types import SimpleNamespace
@@ -15,7 +17,11 @@ from support.marks import slow_but
 from support.runs import make_config
 from support.simulator_equality import actions_of, compare
 
-from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
+from parking_exp.tasks.parking.features import (
+    EgoFrameExtractor,
+    FineEgoFrameExtractor,
+    MirroredEgoFrameExtractor,
+)
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
@@ -27,7 +33,11 @@ WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
 
 def env_config(vehicles, seen, *overrides):
-    options = [f"env.vehicles_count={vehicles}", f"env.observation.vehicles_count={seen}", *overrides]
+    options = [
+        f"env.vehicles_count={vehicles}",
+        f"env.observation.vehicles_count={seen}",
+        *overrides,
+    ]
     return make_config(*options).env
 
 
@@ -37,7 +47,9 @@ LOTS = [("[0,20]", 8), ("10", 4), ("2", 4)]
 @pytest.mark.parametrize(("vehicles", "seen"), slow_but(LOTS[:1], LOTS, several=True))
 def test_simulator_and_highway_env_show_the_same_vehicles(vehicles, seen):
     config = env_config(vehicles, seen, "env.duration=6")
-    steps, mismatches = compare(config, range(8), actions_of("biased", np.random.default_rng(1), (8, 2)))
+    steps, mismatches = compare(
+        config, range(8), actions_of("biased", np.random.default_rng(1), (8, 2))
+    )
     assert steps > 150
     assert mismatches == []
 
@@ -45,7 +57,9 @@ def test_simulator_and_highway_env_show_the_same_vehicles(vehicles, seen):
 @pytest.mark.parametrize("vehicles", slow_but(["0"], ["0", "[0,26]"]))
 def test_simulator_and_highway_env_have_the_same_obstacles(vehicles):
     config = env_config(vehicles, 5, "env.obstacles=12", "env.duration=6", "env.policy_frequency=1")
-    steps, mismatches = compare(config, range(16), actions_of("biased", np.random.default_rng(2), (16, 2)))
+    steps, mismatches = compare(
+        config, range(16), actions_of("biased", np.random.default_rng(2), (16, 2))
+    )
     assert steps > 60
     assert mismatches == []
 
@@ -64,7 +78,9 @@ def test_obstacles_are_random_places_in_the_aisle_by_the_documented_rule():
 
 def test_the_nearest_come_first_and_absent_ones_are_zero():
     others = np.array([[[30.0, 0.0], [1.0, -2.0], [2e6, 0.0]]])
-    seen = nearest_vehicles(np.array([[1.0, 0.0]]), others, np.array([[0.0, np.pi / 2, 0.0]]), 4).reshape(4, 5)
+    seen = nearest_vehicles(
+        np.array([[1.0, 0.0]]), others, np.array([[0.0, np.pi / 2, 0.0]]), 4
+    ).reshape(4, 5)
     expected = [[1, 0, -0.02, 0, 1], [1, 0.29, 0, 1, 0], [0] * 5, [0] * 5]
     np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-15)
 
@@ -126,19 +142,30 @@ def test_training_envs_show_the_vehicles_of_the_next_scene_after_an_end():
     for _ in range(5):
         observations, _, dones, infos = envs.step(np.zeros((4, 2), np.float32))
     assert dones.all()
-    assert envs.observation_space["observation"].shape == (21,) == observations["observation"][0].shape
+    assert (
+        envs.observation_space["observation"].shape == (21,) == observations["observation"][0].shape
+    )
     for row, info in enumerate(infos):
         assert info["terminal_observation"]["observation"].shape == (21,)
-        np.testing.assert_array_equal(observations["observation"][row], envs.simulator.observe()["observation"][row])
+        np.testing.assert_array_equal(
+            observations["observation"][row], envs.simulator.observe()["observation"][row]
+        )
 
 
 def scene(turn=0.0, mirror=1.0):
-    """A car, a goal and two of three vehicles; the whole lot turned, or mirrored at the x axis before."""
+    """A car, a goal and two of three vehicles; the whole lot turned, or mirrored at the x axis
+    before.
+    """
 
     def entry(x, y, heading):
         y, heading = mirror * y, mirror * heading
         cos, sin = np.cos(turn), np.sin(turn)
-        return [(cos * x - sin * y) / 100, (sin * x + cos * y) / 100, np.cos(heading + turn), np.sin(heading + turn)]
+        return [
+            (cos * x - sin * y) / 100,
+            (sin * x + cos * y) / 100,
+            np.cos(heading + turn),
+            np.sin(heading + turn),
+        ]
 
     x, y, cos_h, sin_h = entry(3.0, 2.0, 0.4)
     goal_x, goal_y, goal_cos, goal_sin = entry(10.0, 14.0, np.pi / 2)
@@ -148,7 +175,9 @@ def scene(turn=0.0, mirror=1.0):
         observation += [1.0, other_x - x, other_y - y, *direction]
     return {
         "observation": torch.tensor([observation + 5 * [0.0]], dtype=torch.float32),
-        "desired_goal": torch.tensor([[goal_x, goal_y, 0, 0, goal_cos, goal_sin]], dtype=torch.float32),
+        "desired_goal": torch.tensor(
+            [[goal_x, goal_y, 0, 0, goal_cos, goal_sin]], dtype=torch.float32
+        ),
     }
 
 
@@ -178,21 +207,40 @@ def test_a_lot_with_vehicles_turned_by_180_degrees_or_mirrored_has_the_same_feat
     fine, mirrored = extractor(FineEgoFrameExtractor), extractor(MirroredEgoFrameExtractor)
     torch.testing.assert_close(fine(scene(turn=np.pi)), fine(scene()), rtol=0, atol=1e-5)
     for turn in (0.0, np.pi):
-        torch.testing.assert_close(mirrored(scene(turn, mirror=-1)), mirrored(scene()), rtol=0, atol=1e-5)
+        torch.testing.assert_close(
+            mirrored(scene(turn, mirror=-1)), mirrored(scene()), rtol=0, atol=1e-5
+        )
     assert not torch.allclose(fine(scene(mirror=-1)), fine(scene()), atol=0.1)
 
 
 def test_rates_by_number_of_vehicles_and_their_figure():
     numbers = (Scenes.from_seeds(range(40), (0, 2)).vehicles != NO_SLOT).sum(axis=1)
     outcomes = np.array(["success", "crash", "timeout"])[numbers]
-    runs = [pd.DataFrame({"scene": rows, "outcome": outcomes[rows]}) for rows in (np.arange(25), np.arange(10, 40))]
+    runs = [
+        pd.DataFrame({"scene": rows, "outcome": outcomes[rows]})
+        for rows in (np.arange(25), np.arange(10, 40))
+    ]
     rates = vehicle_rates(runs, {"env.vehicles_count": "[0, 2]"})
     seen = np.concatenate([numbers[:25], numbers[10:]])
     assert rates == [
-        {"vehicles": k, "n": (seen == k).sum(), "success": k == 0, "crash": k == 1, "timeout": k == 2} for k in range(3)
+        {
+            "vehicles": k,
+            "n": (seen == k).sum(),
+            "success": k == 0,
+            "crash": k == 1,
+            "timeout": k == 2,
+        }
+        for k in range(3)
     ]
-    assert vehicle_rates(runs, {"env.vehicles_count": 10}) == vehicle_rates([], {"env.vehicles_count": "[0, 2]"}) == []
-    cells = [SimpleNamespace(id="c0", label="sac", task_data={"vehicles": rates}), SimpleNamespace(task_data={})]
+    assert (
+        vehicle_rates(runs, {"env.vehicles_count": 10})
+        == vehicle_rates([], {"env.vehicles_count": "[0, 2]"})
+        == []
+    )
+    cells = [
+        SimpleNamespace(id="c0", label="sac", task_data={"vehicles": rates}),
+        SimpleNamespace(task_data={}),
+    ]
     ((figure, _),) = draw_vehicle_rates(cells)
     success, crash = figure.axes
     assert success.lines[0].get_xydata().tolist() == [[0, 100], [1, 0], [2, 0]]

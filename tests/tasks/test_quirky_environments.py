@@ -1,4 +1,6 @@
-"""Environments whose quirks were reported to public projects: they train, or the run says why not."""
+"""Environments whose quirks were reported to public projects: they train, or the run says why
+not.
+"""
 
 import json
 import subprocess
@@ -56,7 +58,12 @@ def test_a_run_whose_env_cannot_be_rendered_is_done_without_a_video(tmp_path, na
     assert directory.status == "done"
     assert not (directory.path / "video.mp4").exists()
     evaluated = call_script(
-        "evaluate", f"run={directory.path}", f"output_dir={tmp_path}", "episodes=1", "video=1", "trust=true"
+        "evaluate",
+        f"run={directory.path}",
+        f"output_dir={tmp_path}",
+        "episodes=1",
+        "video=1",
+        "trust=true",
     )
     assert (evaluated.returncode, reason in evaluated.stdout) == (0, True), evaluated.stderr
 
@@ -95,7 +102,11 @@ def test_an_env_of_a_notebook_trains_in_processes_of_its_own(tmp_path):
         f"train(compose(*{[*SHORT, 'env.id=Mine-v0', 'env.vectorization=async']!r}, 'output_dir={tmp_path}'))\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT / "tests", capture_output=True, text=True, check=False
+        [sys.executable, "-c", program],
+        cwd=ROOT / "tests",
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     assert only_run(tmp_path).status == "done"
@@ -118,7 +129,11 @@ def test_without_a_cross_check_there_are_no_certified_metrics(tmp_path):
         f"output_dir={tmp_path}",
     )
     assert done.returncode == 0, done.stderr
-    names = {name for record in read_metrics(only_run(tmp_path).path / METRICS_FILE) for name in record["metrics"]}
+    names = {
+        name
+        for record in read_metrics(only_run(tmp_path).path / METRICS_FILE)
+        for name in record["metrics"]
+    }
     assert "final/success_rate" in names
     assert not any(name.startswith("certified/") for name in names)
 
@@ -126,6 +141,8 @@ def test_without_a_cross_check_there_are_no_certified_metrics(tmp_path):
 def test_a_task_has_the_metrics_of_its_own(tmp_path):
     train(tmp_path, "BitFlip", "evaluation.video_episodes=0")
     result = json.loads((only_run(tmp_path).path / "result.json").read_text())
-    rates = {name for name in result["metrics"] if name.startswith("final/") and name.endswith("_rate")}
+    rates = {
+        name for name in result["metrics"] if name.startswith("final/") and name.endswith("_rate")
+    }
     assert rates == {"final/success_rate", "final/failure_rate", "final/timeout_rate"}
     assert make_task(config("BitFlip").env).failure == "failure"

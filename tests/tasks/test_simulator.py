@@ -39,10 +39,14 @@ VARIANTS = {
 
 def env_config(*overrides) -> ParkingConfig:
     # Noise has an entry for each action, of which some configs have one.
-    return make_config(*overrides, "algorithm.learning_starts=100000", "algorithm.action_noise=null").env
+    return make_config(
+        *overrides, "algorithm.learning_starts=100000", "algorithm.action_noise=null"
+    ).env
 
 
-@pytest.mark.parametrize("kind", slow_but(["biased"], [kind for kind in KINDS if kind != "trained"]))
+@pytest.mark.parametrize(
+    "kind", slow_but(["biased"], [kind for kind in KINDS if kind != "trained"])
+)
 @pytest.mark.parametrize("option", slow_but(["parking", "parking_action_repeat"], parking_envs()))
 def test_trajectories_are_highway_envs(option, kind):
     config = env_config(f"env={option}", *([] if "repeat" in option else ["env.duration=10"]))
@@ -70,7 +74,9 @@ def test_200_000_steps_of_parking_and_20_000_of_variants_without_one_mismatch(op
 def test_every_option_is_simulated(name):
     config = env_config(*VARIANTS[name])
     for kind in ("biased", "random"):
-        steps, mismatches = compare(config, range(8), actions_of(kind, np.random.default_rng(1), (8, 2)))
+        steps, mismatches = compare(
+            config, range(8), actions_of(kind, np.random.default_rng(1), (8, 2))
+        )
         assert steps > 15
         assert mismatches == []
 
@@ -87,9 +93,13 @@ def test_random_scenes_have_the_distribution_of_highway_envs():
     seeded = Scenes.from_seeds(range(n), (3, 3))
     for scenes in (drawn, seeded):
         assert abs(scenes.heading.mean() - np.pi) < 5 * (2 * np.pi / np.sqrt(12 * n))
-        taken = np.concatenate([start_slot(scenes.heading)[:, None], scenes.goal[:, None], scenes.vehicles], axis=1)
+        taken = np.concatenate(
+            [start_slot(scenes.heading)[:, None], scenes.goal[:, None], scenes.vehicles], axis=1
+        )
         assert all(len(set(row)) == 5 for row in taken.tolist())
-    for ours, theirs in zip((drawn.goal, *drawn.vehicles.T), (seeded.goal, *seeded.vehicles.T), strict=True):
+    for ours, theirs in zip(
+        (drawn.goal, *drawn.vehicles.T), (seeded.goal, *seeded.vehicles.T), strict=True
+    ):
         counts, expected = np.bincount(ours, minlength=28), np.bincount(theirs, minlength=28)
         assert (np.abs(counts - expected) < 5 * np.sqrt(2 * expected.mean())).all()
 
@@ -101,7 +111,9 @@ def test_a_scene_does_not_depend_on_its_neighbours():
     alone = Simulator(config, Scenes.from_seeds([37], (10, 10)))
     for step in range(60):
         many, one = together.step(actions[step]), alone.step(actions[step, 37:38])
-        np.testing.assert_array_equal(many.observation["observation"][37], one.observation["observation"][0])
+        np.testing.assert_array_equal(
+            many.observation["observation"][37], one.observation["observation"][0]
+        )
         assert many.reward[37] == one.reward[0]
 
 
@@ -110,9 +122,18 @@ def test_reward_of_a_batch_of_goals_is_highway_envs(option):
     config = env_config(f"env={option}")
     achieved, desired = np.random.default_rng(0).normal(size=(2, 100, 6))
     dense = make_env(config).unwrapped.compute_reward(achieved, desired, {})
-    expected = np.where(dense > -config.success_goal_reward, 0.0, -1.0) if option == "parking_sparse" else dense
-    for ours in (ParkingVecEnv(config, 1), *([make_env(config)] if option == "parking_sparse" else [])):
-        np.testing.assert_allclose(ours.compute_reward(achieved, desired, {}), expected, rtol=0, atol=1e-12)
+    expected = (
+        np.where(dense > -config.success_goal_reward, 0.0, -1.0)
+        if option == "parking_sparse"
+        else dense
+    )
+    for ours in (
+        ParkingVecEnv(config, 1),
+        *([make_env(config)] if option == "parking_sparse" else []),
+    ):
+        np.testing.assert_allclose(
+            ours.compute_reward(achieved, desired, {}), expected, rtol=0, atol=1e-12
+        )
 
 
 coordinate = st.floats(-6, 6)
@@ -132,7 +153,9 @@ def test_collisions_of_rectangles_are_highway_envs(first, second, displacement):
     a, b = polygon(*first), polygon(*second)
     now, soon, push = separating_axis(np.stack([a, b])[None], np.array([displacement]))
     closed = [np.vstack([points, points[:1]]) for points in (a, b)]
-    their_now, their_soon, their_push = are_polygons_intersecting(*closed, np.array(displacement), np.zeros(2))
+    their_now, their_soon, their_push = are_polygons_intersecting(
+        *closed, np.array(displacement), np.zeros(2)
+    )
     assert (bool(now[0]), bool(soon[0])) == (their_now, their_soon)
     if their_soon:
         np.testing.assert_array_equal(push[0], their_push)

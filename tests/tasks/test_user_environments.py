@@ -1,4 +1,6 @@
-"""Goal environments as people write them, to the exact step and number; `test_quirky_environments` has the commands."""
+"""Goal environments as people write them, to the exact step and number; `test_quirky_environments`
+has the commands.
+"""
 
 from pathlib import Path
 
@@ -19,8 +21,19 @@ from parking_exp.training.train_run import train
 
 PLANE = "support.plane_tasks:"
 SHORT = (
-    *("env=gymnasium", "total_timesteps=300", "n_envs=1", "algorithm.learning_starts=100", "algorithm.net_arch=[8]"),
-    *("algorithm.batch_size=16", "evaluation.n_scenes=5", "evaluation.final_n_scenes=5", "tracking.mlflow=false"),
+    *(
+        "env=gymnasium",
+        "total_timesteps=300",
+        "n_envs=1",
+        "algorithm.learning_starts=100",
+        "algorithm.net_arch=[8]",
+    ),
+    *(
+        "algorithm.batch_size=16",
+        "evaluation.n_scenes=5",
+        "evaluation.final_n_scenes=5",
+        "tracking.mlflow=false",
+    ),
 )
 
 
@@ -42,7 +55,9 @@ def trained(name, folder, *overrides):
         ("RenderExit", "no video of support.plane_tasks:RenderExit-v0: SystemExit: 3"),
     ],
 )
-def test_a_run_whose_environment_cannot_be_rendered_is_done_and_says_why_there_is_no_video(name, reason, capsys):
+def test_a_run_whose_environment_cannot_be_rendered_is_done_and_says_why_there_is_no_video(
+    name, reason, capsys
+):
     with in_memory() as folder:
         directory = trained(name, folder)
         assert directory.status == "done"
@@ -83,7 +98,9 @@ def test_what_is_not_finite_fails_the_run_and_the_step_is_named(name, overrides,
 
 
 def test_an_evaluation_that_is_not_finite_fails_the_run_at_its_step():
-    """After 60 steps of the check and 102 of training, an instance reaches its 150th step in the evaluation only."""
+    """After 60 steps of the check and 102 of training, an instance reaches its 150th step in the
+    evaluation only.
+    """
     run = ["total_timesteps=102", "evaluation.final_n_scenes=40"]
     with (
         in_memory() as folder,
@@ -126,7 +143,10 @@ def test_further_entries_of_an_observation_are_normalised_and_used():
     zeros = {key: np.zeros((2, size), np.float32) for key, size in sizes.items()}
     normalizer.update({**zeros, "goal": np.array([[3.0], [5.0]])})
     features = extractor(
-        {key: torch.as_tensor(value) for key, value in {**zeros, "goal": np.full((2, 1), 5.5)}.items()}
+        {
+            key: torch.as_tensor(value)
+            for key, value in {**zeros, "goal": np.full((2, 1), 5.5)}.items()
+        }
     )
     assert features.tolist() == [[0.0] * 6 + [1.5]] * 2
 
@@ -134,8 +154,15 @@ def test_further_entries_of_an_observation_are_normalised_and_used():
 @pytest.mark.slow
 def test_a_policy_that_needs_a_further_entry_is_learned():
     with in_memory() as folder:
-        overrides = ["total_timesteps=3000", "n_envs=2", "algorithm.learning_starts=200", "algorithm.net_arch=[32,32]"]
-        directory = trained("Signed", folder, *overrides, "algorithm.batch_size=256", "evaluation.final_n_scenes=20")
+        overrides = [
+            "total_timesteps=3000",
+            "n_envs=2",
+            "algorithm.learning_starts=200",
+            "algorithm.net_arch=[32,32]",
+        ]
+        directory = trained(
+            "Signed", folder, *overrides, "algorithm.batch_size=256", "evaluation.final_n_scenes=20"
+        )
         assert directory.result().metrics["final/success_rate"] >= 0.9
 
 
@@ -144,4 +171,7 @@ def test_evaluate_refuses_seeds_of_training_of_the_task(tmp_path):
     arguments = [f"run={directory.path}", f"output_dir={tmp_path}", "trust=true", "episodes=2"]
     environment = {"PYTHONPATH": str(ROOT / "tests")}
     done = run_script("evaluate", *arguments, "first_scene=1073741823", env=environment)
-    assert "first_scene=1073741823 overlaps the training seeds; it can be at most 1073741822" in done.stderr
+    assert (
+        "first_scene=1073741823 overlaps the training seeds; it can be at most 1073741822"
+        in done.stderr
+    )

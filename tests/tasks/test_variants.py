@@ -24,7 +24,9 @@ def trajectory(env, scene):
     steps = []
     for action in ACTIONS:
         observation, reward, terminated, truncated, info = env.step(action)
-        steps.append((observation["observation"].tolist(), reward, terminated, truncated, info["is_success"]))
+        steps.append(
+            (observation["observation"].tolist(), reward, terminated, truncated, info["is_success"])
+        )
         if terminated or truncated:
             break
     return steps
@@ -53,18 +55,26 @@ def test_variants_equal_highway_envs_own(option, their_id):
 
 
 def test_success_of_parking_stop_means_parked():
-    """Every pose that highway-env's own criterion accepts is inside the lines, straight and standing; and some are."""
+    """Every pose that highway-env's own criterion accepts is inside the lines, straight and
+    standing; and some are.
+    """
     reward = ParkingReward.of(make_config("env=parking_stop").env)
     rng, n = np.random.default_rng(0), 200_000
-    off = rng.uniform(-1, 1, (n, 4)) * [1.1, 1.6, 0.6, 0.2] * rng.random((n, 1))  # to all sides, down to nothing
+    off = (
+        rng.uniform(-1, 1, (n, 4)) * [1.1, 1.6, 0.6, 0.2] * rng.random((n, 1))
+    )  # to all sides, down to nothing
     x, y, speed, turn = off.T
     heading = np.pi / 2 + turn
-    achieved = np.stack([x, y, speed * np.cos(heading), speed * np.sin(heading), np.cos(heading), np.sin(heading)], 1)
+    achieved = np.stack(
+        [x, y, speed * np.cos(heading), speed * np.sin(heading), np.cos(heading), np.sin(heading)],
+        1,
+    )
     goal = np.array([4.0, 14.0, 0, 0, 0, 1])
     achieved[:, :2] += goal[:2]
     _, reached = reward(achieved / SCALES, goal / SCALES)
     poses = [
-        relative_pose(achieved[row, :2], heading[row], speed[row], goal[:2], np.pi / 2) for row in reached.nonzero()[0]
+        relative_pose(achieved[row, :2], heading[row], speed[row], goal[:2], np.pi / 2)
+        for row in reached.nonzero()[0]
     ]
     assert len(poses) > 10_000
     assert all(pose.parked for pose in poses)
@@ -88,7 +98,10 @@ def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
     envs = make_training_envs(config, n_envs=1)
     goal = envs.reset()["desired_goal"]
     achieved = goal + np.array([0.0121, 0, 0, 0, 0, 0])
-    for goal_reward, is_reached in ((envs.get_attr("goal_reward")[0], False), (ParkingReward.of(config), True)):
+    for goal_reward, is_reached in (
+        (envs.get_attr("goal_reward")[0], False),
+        (ParkingReward.of(config), True),
+    ):
         reward, reached = goal_reward(achieved, goal)
         assert (reward.item(), reached.item()) == (pytest.approx(-0.11), is_reached)
     if simulator == "highway_env":

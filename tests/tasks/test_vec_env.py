@@ -1,4 +1,6 @@
-"""The simulator as a VecEnv: what Stable-Baselines3 gets from it is what it gets from highway-env."""
+"""The simulator as a VecEnv: what Stable-Baselines3 gets from it is what it gets from
+highway-env.
+"""
 
 import numpy as np
 import pytest
@@ -21,7 +23,9 @@ def test_spaces_are_highway_envs(config):
 
 
 def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
-    """The same seeds, the same actions: observations, rewards, dones and infos, the last step of an episode included."""
+    """The same seeds, the same actions: observations, rewards, dones and infos, the last step of an
+    episode included.
+    """
     ours = ParkingVecEnv(config.for_training(), 4)
     theirs = DummyVecEnv([lambda: make_env(config.for_training())] * 4)
     ours.seed(7), theirs.seed(7)
@@ -38,7 +42,10 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
         np.testing.assert_array_equal(dones, their_dones)
         assert dones.all() == (step == 10)
         for our_info, their_info in zip(infos, their_infos, strict=True):
-            assert (our_info["is_success"], our_info["crashed"]) == (their_info["is_success"], their_info["crashed"])
+            assert (our_info["is_success"], our_info["crashed"]) == (
+                their_info["is_success"],
+                their_info["crashed"],
+            )
     for our_info, their_info in zip(infos, their_infos, strict=True):
         assert our_info["TimeLimit.truncated"] is True
         assert their_info["TimeLimit.truncated"] is True
@@ -62,7 +69,10 @@ def test_state_is_saved_restored_and_continued_identically(option):
     other.set_state(env.get_state())
     n_crashes = 0
     for step in range(17, 40):
-        (observation, rewards, dones, infos), again = env.step(actions[step]), other.step(actions[step])
+        (observation, rewards, dones, infos), again = (
+            env.step(actions[step]),
+            other.step(actions[step]),
+        )
         crashed = np.array([info["crashed"] for info in infos])
         assert not any(info["TimeLimit.truncated"] for info in infos if info["crashed"])
         assert (rewards[crashed] < -5).all()

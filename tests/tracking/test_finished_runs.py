@@ -1,4 +1,6 @@
-"""A finished run in the store stays whole: damaged files do not replace it, lost artifacts are sent again."""
+"""A finished run in the store stays whole: damaged files do not replace it, lost artifacts are sent
+again.
+"""
 
 import json
 import shutil
@@ -20,7 +22,11 @@ from parking_exp.tracking.store import Store
 def stored_files(directory):
     """Every artifact of the run, by name."""
     folder = directory.output_dir / "mlflow-artifacts" / "smoke" / directory.run_id / "artifacts"
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 @pytest.fixture
@@ -45,12 +51,20 @@ def changed(path):
 
 
 DAMAGES = {"emptied": lambda path: path.write_bytes(b""), "half": half, "changed": changed}
-FILES = ("metrics.jsonl", "episodes.csv", "models/final.zip", "config.yaml", "checkpoints/step=0000000020/model.zip")
+FILES = (
+    "metrics.jsonl",
+    "episodes.csv",
+    "models/final.zip",
+    "config.yaml",
+    "checkpoints/step=0000000020/model.zip",
+)
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("name", FILES)
-def test_a_damaged_file_of_a_finished_run_does_not_replace_what_the_store_has(finished, name, damage):
+def test_a_damaged_file_of_a_finished_run_does_not_replace_what_the_store_has(
+    finished, name, damage
+):
     before = stored_files(finished)
     metrics = rows(finished.output_dir, "SELECT count(*) FROM metrics")
     DAMAGES[damage](finished.path / name)
@@ -68,10 +82,14 @@ def test_a_run_whose_damaged_file_is_restored_or_deleted_is_whole_again(finished
     content = path.read_bytes()
     for mend in (lambda: path.write_bytes(content), path.unlink):
         half(path)
-        problem = mirror_problem([finished], Store(default_uri(finished.output_dir), finished.output_dir))
+        problem = mirror_problem(
+            [finished], Store(default_uri(finished.output_dir), finished.output_dir)
+        )
         assert "metrics.jsonl changed after the run was finished" in problem
         mend()
-        assert call_script("status", f"output_dir={finished.output_dir}", "sync=true").returncode == 0
+        assert (
+            call_script("status", f"output_dir={finished.output_dir}", "sync=true").returncode == 0
+        )
         assert stored_files(finished)["metrics.jsonl"] == content
 
 
@@ -86,7 +104,9 @@ def test_a_damaged_file_does_not_get_into_a_new_store(finished, empty):
 
 @pytest.mark.parametrize("damage", ["emptied", "half"])
 @pytest.mark.parametrize("name", ["episodes.csv", "summary.json"])
-def test_a_damaged_file_of_an_evaluation_does_not_replace_what_the_store_has(finished, name, damage):
+def test_a_damaged_file_of_an_evaluation_does_not_replace_what_the_store_has(
+    finished, name, damage
+):
     folder = finished.path / "evaluations" / "again"
     folder.mkdir(parents=True)
     (folder / "episodes.csv").write_text("episode,success\n0,1\n")
@@ -99,7 +119,10 @@ def test_a_damaged_file_of_an_evaluation_does_not_replace_what_the_store_has(fin
     DAMAGES[damage](folder / name)
     synced = call_script("status", f"output_dir={finished.output_dir}", "sync=true")
     assert synced.returncode == 2
-    assert f"evaluations/again/{name} changed after the run was finished; the store keeps what it has" in synced.stderr
+    assert (
+        f"evaluations/again/{name} changed after the run was finished; the store keeps what it has"
+        in synced.stderr
+    )
     assert stored_files(finished) == before
 
 
@@ -164,10 +187,14 @@ def test_an_experiment_that_was_deleted_in_mlflow_is_named_by_all_commands(finis
     output_dir, client = finished.output_dir, store(finished.output_dir)
     experiment_id = client.get_experiment_by_name("smoke").experiment_id
     client.delete_experiment(experiment_id)
-    sentence = f"mlflow experiments restore --experiment-id {experiment_id}`, or choose another name"
+    sentence = (
+        f"mlflow experiments restore --experiment-id {experiment_id}`, or choose another name"
+    )
     synced = call_script("status", f"output_dir={output_dir}", "sync=true")
     assert synced.returncode == 2
-    assert f"{finished.path}: experiment=smoke is deleted in MLflow; restore it by " in synced.stderr
+    assert (
+        f"{finished.path}: experiment=smoke is deleted in MLflow; restore it by " in synced.stderr
+    )
     assert sentence in synced.stderr
     reported = call_script("report", f"output_dir={output_dir}", "experiment=smoke")
     assert reported.returncode == 2
@@ -194,7 +221,9 @@ def test_without_the_hashes_of_a_result_changed_files_are_not_sent(finished):
 
 
 @pytest.mark.parametrize("status", ["pending", "running", "interrupted", "failed"])
-def test_a_run_that_is_evaluated_again_keeps_its_results_in_the_store_until_that_is_done(finished, status):
+def test_a_run_that_is_evaluated_again_keeps_its_results_in_the_store_until_that_is_done(
+    finished, status
+):
     before, run_id, result = stored_files(finished), finished.run_id, finished.result()
     finished.reopen()
     sync(finished)

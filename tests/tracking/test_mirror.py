@@ -1,4 +1,6 @@
-"""The store agrees with the run directories: under load, after kills, and after it was down, lost or behind."""
+"""The store agrees with the run directories: under load, after kills, and after it was down, lost
+or behind.
+"""
 
 import json
 import shutil
@@ -38,7 +40,12 @@ from parking_exp.tracking.tracker import Tracker
 def mirror_all(output_dir, uri=None):
     """Mirror what a store lacks of an output directory; what was in the way of each run."""
     directories = [RunDirectory(path) for path in find_runs(output_dir)]
-    return [problem for _, problem in mirror_missing(directories, Store(uri or default_uri(output_dir), output_dir))]
+    return [
+        problem
+        for _, problem in mirror_missing(
+            directories, Store(uri or default_uri(output_dir), output_dir)
+        )
+    ]
 
 
 @pytest.fixture
@@ -61,7 +68,12 @@ def local_points(directory, up_to=None):
 
 def stored_points(output_dir, run_id):
     """Every row of the metrics table: a number that was logged twice would be there twice."""
-    return sorted(rows(output_dir, f"SELECT key, step, value, timestamp FROM metrics WHERE run_uuid = '{run_id}'"))
+    return sorted(
+        rows(
+            output_dir,
+            f"SELECT key, step, value, timestamp FROM metrics WHERE run_uuid = '{run_id}'",
+        )
+    )
 
 
 def stored_run(directory):
@@ -71,14 +83,21 @@ def stored_run(directory):
 def assert_mirrored(*directories):
     """The store has these finished runs, each number once, and no other run."""
     output_dir = directories[0].output_dir
-    assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", len(directories))]
+    assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [
+        ("FINISHED", len(directories))
+    ]
     for directory in directories:
         assert stored_points(output_dir, directory.run_id) == local_points(directory)
 
 
 def processes(command, directories):
     script = ROOT / "tests" / "support" / "sync_processes.py"
-    arguments = [sys.executable, str(script), command, *(str(directory.path) for directory in directories)]
+    arguments = [
+        sys.executable,
+        str(script),
+        command,
+        *(str(directory.path) for directory in directories),
+    ]
     return subprocess.run(arguments, check=False, capture_output=True, text=True, timeout=300)
 
 
@@ -96,7 +115,10 @@ def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arri
     done = processes("at-once", directories)
     assert (done.returncode, done.stderr) == (0, "")
     assert rows(fresh_dir, "SELECT count(*) FROM metrics") == [(16 * 2 * 180 * len(KEYS),)]
-    assert rows(fresh_dir, "SELECT name FROM experiments ORDER BY name") == [("Default",), ("smoke",)]
+    assert rows(fresh_dir, "SELECT name FROM experiments ORDER BY name") == [
+        ("Default",),
+        ("smoke",),
+    ]
     assert_mirrored(*directories)
     for directory in directories:
         stored = artifacts(store(fresh_dir), directory.run_id, "checkpoint")
@@ -123,7 +145,9 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
         assert artifacts(client, directory.run_id) == artifacts(client, first.run_id)
 
 
-def test_mirroring_again_changes_nothing_even_if_files_were_deleted_from_the_run_directory(output_dir):
+def test_mirroring_again_changes_nothing_even_if_files_were_deleted_from_the_run_directory(
+    output_dir,
+):
     directory = finished_run(output_dir)
     sync(directory)
     before, status = content(output_dir), directory.read_status()
@@ -131,7 +155,10 @@ def test_mirroring_again_changes_nothing_even_if_files_were_deleted_from_the_run
     assert mirror_all(output_dir) == []
     assert content(output_dir) == before
     assert directory.read_status() == status
-    points, names = stored_points(output_dir, directory.run_id), artifacts(store(output_dir), directory.run_id)
+    points, names = (
+        stored_points(output_dir, directory.run_id),
+        artifacts(store(output_dir), directory.run_id),
+    )
     shutil.rmtree(directory.checkpoints)
     (directory.path / "metrics.jsonl").unlink()
     assert mirror_all(output_dir) == [None]
@@ -140,7 +167,9 @@ def test_mirroring_again_changes_nothing_even_if_files_were_deleted_from_the_run
     assert artifacts(store(output_dir), directory.run_id) == names
 
 
-def test_a_lost_or_older_store_is_filled_again_even_after_another_run_was_sent_to_it(output_dir, empty, tmp_path):
+def test_a_lost_or_older_store_is_filled_again_even_after_another_run_was_sent_to_it(
+    output_dir, empty, tmp_path
+):
     first = written_run(output_dir)
     grow(first, rows=5)
     sync(first)
@@ -166,7 +195,11 @@ def test_a_killed_run_is_mirrored_up_to_its_last_checkpoint_and_whole_once_resum
     assert mirror_all(output_dir) == [None]
     run, run_id = stored_run(directory), directory.run_id
     assert stored_points(output_dir, run_id) == local_points(directory, up_to=20)
-    assert (run.info.status, run.data.tags["status"], directory.status) == ("KILLED", "interrupted", "running")
+    assert (run.info.status, run.data.tags["status"], directory.status) == (
+        "KILLED",
+        "interrupted",
+        "running",
+    )
     assert mirror_all(output_dir) == []
 
     restore_logs(directory.path, directory.checkpoints / "step=0000000020")
@@ -179,7 +212,10 @@ def test_a_killed_run_is_mirrored_up_to_its_last_checkpoint_and_whole_once_resum
         sync(directory)
     assert directory.run_id == run_id
     assert stored_points(output_dir, run_id) == local_points(directory)
-    assert (stored_run(directory).info.status, stored_run(directory).data.tags["status"]) == ("FINISHED", "done")
+    assert (stored_run(directory).info.status, stored_run(directory).data.tags["status"]) == (
+        "FINISHED",
+        "done",
+    )
 
 
 def test_a_failed_run_has_its_error_in_the_store_until_it_is_resumed(output_dir):
@@ -210,7 +246,9 @@ def test_a_new_training_in_the_same_directory_replaces_the_stored_run(output_dir
     sync(directory)
     assert directory.run_id != old
     assert stored_points(output_dir, directory.run_id) == local_points(directory)
-    assert rows(output_dir, f"SELECT lifecycle_stage FROM runs WHERE run_uuid = '{old}'") == [("deleted",)]
+    assert rows(output_dir, f"SELECT lifecycle_stage FROM runs WHERE run_uuid = '{old}'") == [
+        ("deleted",)
+    ]
 
 
 def test_what_a_user_logs_tags_or_deletes_in_the_store_stays(output_dir):
@@ -236,7 +274,9 @@ def test_a_run_has_its_provenance_and_its_command_as_tags(output_dir):
     write_json(directory.path / "provenance.json", {"started_ms": 1234567, "tags": tags})
     sync(directory)
     run = stored_run(directory)
-    assert (tags | {"command": "python scripts/train.py experiment=smoke"}).items() <= run.data.tags.items()
+    assert (
+        tags | {"command": "python scripts/train.py experiment=smoke"}
+    ).items() <= run.data.tags.items()
     assert run.info.start_time == 1234567
 
 
@@ -299,7 +339,11 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         finish(directory)
         sync(directory)
         client = connect(uri)
-        stored = [(key, step, value) for key in KEYS for step, value in history(client, directory.run_id, key)]
+        stored = [
+            (key, step, value)
+            for key in KEYS
+            for step, value in history(client, directory.run_id, key)
+        ]
         assert sorted(stored) == [point[:3] for point in local_points(directory)]
         assert artifacts(client, directory.run_id) == [
             "checkpoint/model.zip", "config.yaml", "episodes.csv", "metrics.jsonl"

@@ -1,4 +1,6 @@
-"""Output directories that were moved or copied, and run directories from elsewhere: what is written where."""
+"""Output directories that were moved or copied, and run directories from elsewhere: what is written
+where.
+"""
 
 import json
 import shutil
@@ -24,7 +26,11 @@ EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 
 def snapshot(folder):
     """Every file below a folder with its content."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 def sync(directory, uri):
@@ -41,7 +47,9 @@ def evaluated(directory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("move", [shutil.move, shutil.copytree])
-def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_nothing_else(tmp_path, move):
+def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_nothing_else(
+    tmp_path, move
+):
     old, new = tmp_path / "old", tmp_path / "new"
     assert run_script("train", "experiment=smoke", f"output_dir={old}").returncode == 0
     move(old, new)
@@ -52,11 +60,16 @@ def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_n
     assert done.returncode == 0, done.stderr
     assert "not stored" not in done.stdout
     assert snapshot(old) == before
-    assert "mlflow.db can't be used here and is made again; the old one is mlflow.db.replaced-1\n" in done.stderr
+    assert (
+        "mlflow.db can't be used here and is made again; the old one is mlflow.db.replaced-1\n"
+        in done.stderr
+    )
     assert rows(new, "SELECT run_uuid FROM runs") != [(run_id,)]
     run_id = RunDirectory(path).run_id
     assert rows(new, "SELECT run_uuid, lifecycle_stage FROM runs") == [(run_id, "active")]
-    assert (new / "mlflow-artifacts" / "smoke" / run_id / "artifacts" / "evaluations" / "again").is_dir()
+    assert (
+        new / "mlflow-artifacts" / "smoke" / run_id / "artifacts" / "evaluations" / "again"
+    ).is_dir()
     results = load("smoke", output_dir=new)
     assert results.runs["run_dir"].tolist() == [str(path)]
     assert results.problems == ()
@@ -66,7 +79,10 @@ def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_n
 
 def test_files_of_a_run_directory_do_not_name_the_output_directory(smoke):
     directory, _, output_dir = smoke
-    exceptions = {"status.json": ("command",), "result.json": ("run_dir",)}  # `result` replaces the latter
+    exceptions = {
+        "status.json": ("command",),
+        "result.json": ("run_dir",),
+    }  # `result` replaces the latter
     for name in ("config.yaml", "status.json", "result.json", "provenance.json"):
         content = yaml.safe_load((directory.path / name).read_text())
         rest = {key: value for key, value in content.items() if key not in exceptions.get(name, ())}
@@ -93,7 +109,9 @@ def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(empty, 
     moved = RunDirectory(tmp_path / "three" / original.path.relative_to(tmp_path / "one"))
     sync(moved, uri)
     assert moved.run_id == run_id
-    assert client.get_run(moved.run_id).data.tags["run_dir"] == str(moved.path.relative_to(tmp_path))
+    assert client.get_run(moved.run_id).data.tags["run_dir"] == str(
+        moved.path.relative_to(tmp_path)
+    )
 
 
 @pytest.fixture
@@ -137,7 +155,9 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
     assert f"tracking.uri={uri}" in done.stderr
 
 
-@pytest.mark.parametrize("content", ["", "a: [", "a: !!python/object/apply:os.system [ls]", "\udcff", "a: &a [*a]"])
+@pytest.mark.parametrize(
+    "content", ["", "a: [", "a: !!python/object/apply:os.system [ls]", "\udcff", "a: &a [*a]"]
+)
 def test_an_invalid_config_is_refused_in_one_sentence(foreign, content):
     (foreign.path / "config.yaml").write_bytes(content.encode(errors="surrogateescape"))
     with pytest.raises(ConfigError) as refusal:
@@ -165,7 +185,9 @@ def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, n
         sync(foreign, default_uri(tmp_path))
 
 
-@pytest.mark.parametrize("place", ["file:///etc/parking", "s3://bucket/x", "./mlruns/0", "{listener}/x"])
+@pytest.mark.parametrize(
+    "place", ["file:///etc/parking", "s3://bucket/x", "./mlruns/0", "{listener}/x"]
+)
 def test_artifacts_of_an_embedded_store_are_neither_sent_elsewhere_nor_read_there(
     output_dir, listener, place, monkeypatch
 ):
@@ -200,11 +222,17 @@ def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, na
     sync(victim, default_uri(output_dir))
     client = store(output_dir)
     before = client.get_run(victim.run_id)
-    tags = {"run_key": victim.config().run_key, "run_dir": str(victim.path.relative_to(output_dir)), "cpu": 5}
+    tags = {
+        "run_key": victim.config().run_key,
+        "run_dir": str(victim.path.relative_to(output_dir)),
+        "cpu": 5,
+    }
     if named_in == "status.json":
         directory.update(run_id=victim.run_id)
     else:
-        write_json(directory.path / named_in, {"started_ms": 5, "tags": {**tags, "version.torch": "9"}})
+        write_json(
+            directory.path / named_in, {"started_ms": 5, "tags": {**tags, "version.torch": "9"}}
+        )
     sync(directory, default_uri(output_dir))
     assert directory.run_id != victim.run_id
     after, stored = (client.get_run(run.run_id) for run in (victim, directory))
@@ -216,7 +244,9 @@ def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, na
 
 
 def test_a_training_does_not_write_through_links(tmp_path):
-    config = make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}", "tracking.mlflow=false")
+    config = make_config(
+        "experiment=smoke", f"output_dir={tmp_path / 'outputs'}", "tracking.mlflow=false"
+    )
     directory, outside = RunDirectory(config.run_dir), tmp_path / "file"
     directory.create(config)
     outside.write_text("content")

@@ -27,7 +27,9 @@ def stages(uri):
     return sorted((run.info.start_time, run.info.lifecycle_stage) for run in runs)
 
 
-def test_machines_with_the_same_path_of_the_output_directory_keep_each_others_runs(central, tmp_path):
+def test_machines_with_the_same_path_of_the_output_directory_keep_each_others_runs(
+    central, tmp_path
+):
     path = tmp_path / "outputs"
     for number in range(2):  # two containers: the path is the same, the directory is not
         sync(finished_run(path, uri=central, started_ms=1000 + number))
@@ -102,7 +104,12 @@ def test_a_finished_run_that_is_typed_with_another_store_is_sent_there(smoke, ce
 
 def test_a_sweep_sends_its_finished_runs_to_another_store_too(smoke, central, tmp_path):
     shutil.copytree(smoke[2], tmp_path / "outputs")
-    command = ("experiment=smoke", f"output_dir={tmp_path / 'outputs'}", "retry=failed", f"tracking.uri={central}")
+    command = (
+        "experiment=smoke",
+        f"output_dir={tmp_path / 'outputs'}",
+        "retry=failed",
+        f"tracking.uri={central}",
+    )
     assert call_script("train", *command).returncode == 0
     assert [stage for _, stage in stages(central)] == ["active"]
 
@@ -114,6 +121,8 @@ def test_mlflows_variable_is_said_to_be_ignored(smoke, tmp_path, monkeypatch):
     shutil.copytree(smoke[2], tmp_path / "outputs")
     say_ignored_store.cache_clear()
     synced = call_script("status", f"output_dir={tmp_path / 'outputs'}", "sync=true")
-    sentence = "MLFLOW_TRACKING_URI is ignored; tracking.uri=URI chooses a store other than output_dir's"
+    sentence = (
+        "MLFLOW_TRACKING_URI is ignored; tracking.uri=URI chooses a store other than output_dir's"
+    )
     assert synced.stderr.splitlines()[-1] == sentence
     say_ignored_store.cache_clear()

@@ -1,4 +1,6 @@
-"""A store that can't be used is made anew from the run directories, and nobody's data is touched for it."""
+"""A store that can't be used is made anew from the run directories, and nobody's data is touched
+for it.
+"""
 
 import resource
 import signal
@@ -60,17 +62,25 @@ def test_a_run_that_a_new_store_lacks_is_named(output_dir, capsys):
 
 
 def test_a_store_that_a_kill_has_left_half_made_is_set_aside_and_made_anew(output_dir):
-    directories, database, new = store_with_runs(output_dir), output_dir / "mlflow.db", output_dir / "new.db"
+    directories, database, new = (
+        store_with_runs(output_dir),
+        output_dir / "mlflow.db",
+        output_dir / "new.db",
+    )
     code = f"import mlflow; mlflow.MlflowClient('sqlite:///{new}').search_experiments()"
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
     tables = "SELECT name FROM sqlite_master"
-    while process.poll() is None and not (new.exists() and ("alembic_version",) in execute(new, tables)):
+    while process.poll() is None and not (
+        new.exists() and ("alembic_version",) in execute(new, tables)
+    ):
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     for file in output_dir.glob(f"{new.name}*"):  # and its journal
         file.rename(output_dir / file.name.replace(new.name, database.name))
-    execute(database, "CREATE TABLE IF NOT EXISTS _alembic_tmp_jobs (id TEXT)")  # by which some never work again
+    execute(
+        database, "CREATE TABLE IF NOT EXISTS _alembic_tmp_jobs (id TEXT)"
+    )  # by which some never work again
     sync(directories[0])
     assert stored(output_dir) == [0, 1, 2]
     assert ("_alembic_tmp_jobs",) in execute(output_dir / "mlflow.db.replaced-1", tables)
@@ -128,9 +138,7 @@ def older_store(path):
 
 
 FOREIGN_RUN = "INSERT INTO runs (run_uuid, experiment_id, lifecycle_stage, status, user_id, start_time) VALUES ('a', 0, 'active', 'RUNNING', 'x', 0)"
-DEFAULT = (
-    "INSERT INTO experiments (experiment_id, name, lifecycle_stage, workspace) VALUES (0, 'x', 'active', 'default')"
-)
+DEFAULT = "INSERT INTO experiments (experiment_id, name, lifecycle_stage, workspace) VALUES (0, 'x', 'active', 'default')"
 
 
 def test_a_store_of_an_older_mlflow_is_used_with_all_that_it_has(output_dir):
@@ -175,7 +183,11 @@ def test_a_disk_that_is_full_while_a_store_is_made_leaves_no_store_under_its_nam
 
 def test_a_database_of_another_program_stays_where_it_is(tmp_path):
     database = tmp_path / "other.db"
-    execute(database, "CREATE TABLE alembic_version (version_num TEXT)", "INSERT INTO alembic_version VALUES ('1')")
+    execute(
+        database,
+        "CREATE TABLE alembic_version (version_num TEXT)",
+        "INSERT INTO alembic_version VALUES ('1')",
+    )
     execute(database, "CREATE TABLE studies (id INTEGER)", "INSERT INTO studies VALUES (1)")
     with pytest.raises(Exception, match="1"):
         connect(f"sqlite:///{database}")
@@ -197,5 +209,7 @@ os.environ.pop("HOME", None)
 from parking_exp.tracking.client import import_mlflow
 import_mlflow()
 """
-    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=100
+    )
     assert (done.returncode, done.stderr) == (0, "")

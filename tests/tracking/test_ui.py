@@ -16,27 +16,45 @@ from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
 
 playwright = pytest.importorskip("playwright.sync_api")
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--disable-component-update",
+]
 
 
 def make_ui(*arguments):
     """Commands that `make ui` would run."""
     command = ["make", "--no-print-directory", "--dry-run", "ui", *arguments]
-    return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
+    return subprocess.run(
+        command, cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout.splitlines()
 
 
 def addresses(uri, port):
     """Address of each experiment, as `make ui` prints them."""
     command = [sys.executable, "-m", "parking_exp.tracking.ui_addresses", uri, str(port)]
-    lines = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
+    lines = subprocess.run(
+        command, cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout.splitlines()
     return dict(line.split() for line in lines)
 
 
 def test_make_ui_has_one_worker_and_prints_addresses_with_its_port():
-    for arguments, port in {"": 5000, "--port 7000": 7000, "--host 0.0.0.0 -p 7000": 7000, "--port=7000": 7000}.items():
+    for arguments, port in {
+        "": 5000,
+        "--port 7000": 7000,
+        "--host 0.0.0.0 -p 7000": 7000,
+        "--port=7000": 7000,
+    }.items():
         *_, printing, serving = make_ui(f"ARGS={arguments}")
-        assert printing.endswith(f"-m parking_exp.tracking.ui_addresses sqlite:///outputs/mlflow.db {port}")
+        assert printing.endswith(
+            f"-m parking_exp.tracking.ui_addresses sqlite:///outputs/mlflow.db {port}"
+        )
         assert "mlflow ui --workers 1 --backend-store-uri sqlite:///outputs/mlflow.db" in serving
 
 

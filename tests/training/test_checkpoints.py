@@ -24,7 +24,9 @@ def model():
 
 
 def save(directory, model, step, keep_last=2, best=None):
-    return checkpoints.save(directory, model, SavedProgress(step=step), best or directory / "no-best.zip", keep_last)
+    return checkpoints.save(
+        directory, model, SavedProgress(step=step), best or directory / "no-best.zip", keep_last
+    )
 
 
 SB3_HER = (
@@ -47,7 +49,9 @@ def test_buffer_and_counters_come_back(tmp_path, overrides, size, monkeypatch):
     """A buffer of ours or of Stable-Baselines3, full or not; nothing is unpickled."""
     model, fresh = trained(size, *overrides, steps=105), trained(size, *overrides, steps=0)
     folder = save(tmp_path, model, step=105)
-    assert (folder / checkpoints.BUFFER).stat().st_size < 105 * 500  # only the filled part of the buffer
+    assert (
+        folder / checkpoints.BUFFER
+    ).stat().st_size < 105 * 500  # only the filled part of the buffer
     for name in ("pickle.load", "pickle.loads", "cloudpickle.load", "cloudpickle.loads"):
         monkeypatch.setattr(name, lambda *_, **__: pytest.fail("unpickled"))
     checkpoints.restore(folder, fresh, best=tmp_path / "best.zip")
@@ -74,7 +78,10 @@ def test_keep_last_limits_the_checkpoints_on_disk_by_step(tmp_path, model):
     (tmp_path / ".tmp-step=0000000005").mkdir()  # of a process that was killed
     for step in (10, 900, 1000, 100_000):
         save(tmp_path, model, step, keep_last=2)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["step=0000001000", "step=0000100000"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "step=0000001000",
+        "step=0000100000",
+    ]
     assert checkpoints.latest(tmp_path).name == "step=0000100000"
     assert sorted(path.name for path in checkpoints.latest(tmp_path).iterdir()) == [
         "manifest.json", "metrics.jsonl", "model.zip", "replay_buffer.npz", "state.pt",
@@ -83,7 +90,9 @@ def test_keep_last_limits_the_checkpoints_on_disk_by_step(tmp_path, model):
 
 @pytest.mark.parametrize("name", ["model.zip", "state.pt", "manifest.json"])
 @pytest.mark.parametrize("damage", ["truncated", "changed", "missing"])
-def test_a_damaged_checkpoint_is_skipped_and_deleted_with_the_next_save(tmp_path, model, name, damage):
+def test_a_damaged_checkpoint_is_skipped_and_deleted_with_the_next_save(
+    tmp_path, model, name, damage
+):
     older, newer = save(tmp_path, model, 10), save(tmp_path, model, 20)
     assert checkpoints.latest(tmp_path) == newer
     content = bytearray((newer / name).read_bytes())
@@ -98,7 +107,9 @@ def test_a_damaged_checkpoint_is_skipped_and_deleted_with_the_next_save(tmp_path
 
 
 @pytest.mark.parametrize("written", range(5))
-def test_a_full_disk_at_any_file_leaves_only_the_earlier_checkpoint(tmp_path, model, monkeypatch, written):
+def test_a_full_disk_at_any_file_leaves_only_the_earlier_checkpoint(
+    tmp_path, model, monkeypatch, written
+):
     older, synced = save(tmp_path, model, 10), []
 
     def fsync(path):

@@ -1,4 +1,6 @@
-"""A finished run with other settings of its final evaluation is evaluated again, and not trained again."""
+"""A finished run with other settings of its final evaluation is evaluated again, and not trained
+again.
+"""
 
 import shutil
 import time
@@ -14,7 +16,11 @@ from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.training.train_run import train
 
 SMOKE = ("experiment=smoke", "total_timesteps=100", "tracking.tensorboard=false")
-OTHER = ("evaluation.final_n_scenes=7", "evaluation.n_certified_scenes=2", "evaluation.video_episodes=0")
+OTHER = (
+    "evaluation.final_n_scenes=7",
+    "evaluation.n_certified_scenes=2",
+    "evaluation.video_episodes=0",
+)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +49,10 @@ def config(output_dir, *overrides):
 def final_runs(output_dir):
     """Number of episodes and final return of the runs that the store shows."""
     runs = store(output_dir).search_runs(["1"])
-    return [(run.data.params["evaluation.final_n_scenes"], run.data.metrics["final/return_mean"]) for run in runs]
+    return [
+        (run.data.params["evaluation.final_n_scenes"], run.data.metrics["final/return_mean"])
+        for run in runs
+    ]
 
 
 def test_it_ends_as_a_run_that_had_these_settings_from_the_start(finished, trained):
@@ -93,7 +102,8 @@ def killed_in_the_final_evaluation(directory):
 
 
 @pytest.mark.parametrize(
-    "kill", [killed_before_it_is_reopened, killed_when_it_was_reopened, killed_in_the_final_evaluation]
+    "kill",
+    [killed_before_it_is_reopened, killed_when_it_was_reopened, killed_in_the_final_evaluation],
 )
 def test_after_a_kill_the_same_command_ends_in_the_same_state(finished, trained, kill):
     directory, output_dir = finished
@@ -126,31 +136,46 @@ def test_without_its_last_checkpoint_its_results_are_kept(finished, damage, prob
     for arguments in ((), ("retry=failed",)):  # a single run, and a sweep
         done = call_script("train", *SMOKE, *OTHER, f"output_dir={output_dir}", *arguments)
         assert done.returncode == 0, done.stderr
-        assert f"it can't be evaluated again with other settings, since {problem}{directory.path}" in done.stdout
-        assert f"`python scripts/evaluate.py run={directory.path}` evaluates its final model" in done.stdout
+        assert (
+            f"it can't be evaluated again with other settings, since {problem}{directory.path}"
+            in done.stdout
+        )
+        assert (
+            f"`python scripts/evaluate.py run={directory.path}` evaluates its final model"
+            in done.stdout
+        )
     assert [file.read_bytes() for file in files] == before
     assert directory.status == "done"
 
 
 def test_a_sweep_says_how_many_runs_it_evaluates_again_and_trains_none(tmp_path):
     assert sweep(tmp_path, "seeds=2").returncode == 0
-    steps = [file.stat().st_mtime_ns for file in tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")]
+    steps = [
+        file.stat().st_mtime_ns for file in tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")
+    ]
     plan = sweep(tmp_path, "seeds=3", "evaluation.final_n_scenes=4", "dry_run=true")
     assert "1 cell x 3 seeds = 3 runs: 0 done, 2 to evaluate again, 1 to run\n" in plan.stdout
     head, row = (line.split() for line in plan.stdout.splitlines()[:2])
     assert head == ["cell", "done", "running", "failed", "pending", "success"]
     assert row[-1] == "3"  # pending ones
     assert sweep(tmp_path, "seeds=2", "evaluation.final_n_scenes=4").returncode == 0
-    assert [file.stat().st_mtime_ns for file in tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")] == steps
+    assert [
+        file.stat().st_mtime_ns for file in tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")
+    ] == steps
     for file in tmp_path.glob("*/*/seed=*/episodes.csv"):
         assert len(pd.read_csv(file).query("phase == 'final'")) == 4
-    assert "2 done, 0 to run\n" in sweep(tmp_path, "seeds=2", "evaluation.final_n_scenes=4", "dry_run=true").stdout
+    assert (
+        "2 done, 0 to run\n"
+        in sweep(tmp_path, "seeds=2", "evaluation.final_n_scenes=4", "dry_run=true").stdout
+    )
 
 
 def test_two_final_evaluations_of_the_same_runs_are_refused(tmp_path):
     done = call_script("train", *SMOKE, f"output_dir={tmp_path}", "evaluation.final_n_scenes=5,6")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert done.stderr.startswith("error: evaluation.final_n_scenes=5,6: the same runs can't have both; ")
+    assert done.stderr.startswith(
+        "error: evaluation.final_n_scenes=5,6: the same runs can't have both; "
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -164,7 +189,9 @@ def test_a_sweep_that_is_killed_while_it_evaluates_again_goes_on(tmp_path):
         process.kill()
         process.communicate()
     assert sweep(tmp_path / "outputs", "seeds=2", "evaluation.final_n_scenes=40").returncode == 0
-    ours, theirs = (sorted((tmp_path / name).glob("*/*/seed=*")) for name in ("outputs", "reference"))
+    ours, theirs = (
+        sorted((tmp_path / name).glob("*/*/seed=*")) for name in ("outputs", "reference")
+    )
     for one, other in zip(ours, theirs, strict=True):
         assert differences(one, other) == []
 

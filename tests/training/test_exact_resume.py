@@ -1,4 +1,6 @@
-"""Runs that are killed at any step end as if they had not been; these proofs take minutes (`make test-slow`)."""
+"""Runs that are killed at any step end as if they had not been; these proofs take minutes (`make
+test-slow`).
+"""
 
 import json
 import random
@@ -17,12 +19,15 @@ pytestmark = pytest.mark.slow
 def test_the_default_recipe_parks(tmp_path):
     rates = []
     for seed in (0, 1, 2):
-        config = make_config(f"seed={seed}", f"output_dir={tmp_path}", "evaluation.video_episodes=0")
+        config = make_config(
+            f"seed={seed}", f"output_dir={tmp_path}", "evaluation.video_episodes=0"
+        )
         rates.append(train(config).metrics["final/success_rate"])
     assert min(rates) >= 0.95, rates
 
 
-# Other algorithms, buffers and noises are interrupted within one process: tests/training/test_resume.py.
+# Other algorithms, buffers and noises are interrupted within one process:
+# tests/training/test_resume.py.
 KINDS = {
     "sac": ("experiment=smoke",),
     "sac, normalised, FetchReach in two processes": (
@@ -43,7 +48,9 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
-    """Everything in the run directory, and every number in the store, to the last bit; only clocks may differ."""
+    """Everything in the run directory, and every number in the store, to the last bit; only clocks
+    may differ.
+    """
     arguments = ("evaluation.video_episodes=0", "checkpoint.every_n_steps=25", *KINDS[kind])
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
     done = run_script("train", *arguments, f"output_dir={whole}")
@@ -53,9 +60,13 @@ def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
     moments, killed, run_ids = random.Random(kind), [], set()
     # A random while after the checkpoint of each of these steps, the last in the final evaluation.
     for step in (0, 80, 160, 240, 400):
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **keywords)
+        process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **keywords
+        )
         started = time.time()
-        while process.poll() is None and not (is_training(pieces, started) and last_step(pieces) >= step):
+        while process.poll() is None and not (
+            is_training(pieces, started) and last_step(pieces) >= step
+        ):
             time.sleep(0.01)
         time.sleep(moments.uniform(0, 0.5 if step == 400 else lasted / 8))
         if process.poll() is not None:
@@ -76,16 +87,27 @@ def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
 
 def last_step(output_dir):
     """The last checkpoint's step; 0 where there is none."""
-    steps = [int(path.name.removeprefix("step=")) for path in output_dir.glob("*/*/*/checkpoints/step=*")]
+    steps = [
+        int(path.name.removeprefix("step=")) for path in output_dir.glob("*/*/*/checkpoints/step=*")
+    ]
     return max(steps, default=0)
 
 
 def is_training(output_dir, since):
-    """Whether a process that was started then has made its envs and its logger, which opens this file."""
+    """Whether a process that was started then has made its envs and its logger, which opens this
+    file.
+    """
     return any(path.stat().st_mtime > since for path in output_dir.glob("*/*/seed=*/progress.csv"))
 
 
 def seconds_of_training(directory):
-    """From the making of the envs to the last checkpoint, which comes before the final evaluation."""
-    start = json.loads((directory.path / "monitor.csv").read_text().split("\n", 1)[0][1:])["t_start"]
-    return max(path.stat().st_mtime for path in directory.checkpoints.glob("step=*/manifest.json")) - start
+    """From the making of the envs to the last checkpoint, which comes before the final
+    evaluation.
+    """
+    start = json.loads((directory.path / "monitor.csv").read_text().split("\n", 1)[0][1:])[
+        "t_start"
+    ]
+    return (
+        max(path.stat().st_mtime for path in directory.checkpoints.glob("step=*/manifest.json"))
+        - start
+    )

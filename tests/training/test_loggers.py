@@ -13,7 +13,10 @@ def written(folder):
     """TensorBoard's points by tag, each as often as it was written."""
     board = EventAccumulator(str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False)
     board.Reload()
-    return {tag: [(event.step, event.value) for event in board.Scalars(tag)] for tag in board.Tags()["scalars"]}
+    return {
+        tag: [(event.step, event.value) for event in board.Scalars(tag)]
+        for tag in board.Tags()["scalars"]
+    }
 
 
 def test_a_resumed_run_has_each_step_once_in_tensorboard_under_its_label(tmp_path):

@@ -1,4 +1,6 @@
-"""The exponential moving average of the actor, in evaluations and in files; test_resume.py resumes it."""
+"""The exponential moving average of the actor, in evaluations and in files; test_resume.py resumes
+it.
+"""
 
 import pytest
 import torch
@@ -10,7 +12,12 @@ from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.training import checkpoints
 from parking_exp.training.train_run import train
 
-SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.policy_ema_half_life=20", "evaluation.video_episodes=0")
+SMOKE = (
+    "experiment=smoke",
+    "algorithm=td3",
+    "algorithm.policy_ema_half_life=20",
+    "evaluation.video_episodes=0",
+)
 
 
 def make_model():
@@ -69,10 +76,16 @@ def weights(path):
 
 
 def test_the_average_is_saved_as_the_final_model_and_not_trained_further(tmp_path):
-    train(make_config(*SMOKE, "total_timesteps=200", "tracking.mlflow=false", f"output_dir={tmp_path}"))
+    train(
+        make_config(
+            *SMOKE, "total_timesteps=200", "tracking.mlflow=false", f"output_dir={tmp_path}"
+        )
+    )
     run = only_run(tmp_path)
     last = checkpoints.latest(run.checkpoints)
-    final, trained = (weights(path) for path in (run.models / "final.zip", last / checkpoints.MODEL))
+    final, trained = (
+        weights(path) for path in (run.models / "final.zip", last / checkpoints.MODEL)
+    )
     averaged = checkpoints.read_state(last)["average"]
     assert [weight.tolist() for weight in final] == [weight.tolist() for weight in averaged]
     assert not all(map(torch.equal, final, trained))

@@ -92,7 +92,9 @@ def configured(output_dir, *overrides):
 
 
 def run(output_dir, *overrides, cuts=()):
-    """Return the directory of a run that each of `cuts` interrupts, one after the other, and that is then finished."""
+    """Return the directory of a run that each of `cuts` interrupts, one after the other, and that
+    is then finished.
+    """
     config = configured(output_dir, *overrides)
     for interruption in cuts:
         disturb()
@@ -148,7 +150,13 @@ def cut_in_the_third_evaluation():
     "cuts",
     [
         [cut_in_the_third_evaluation],
-        [lambda: cut(checkpoints, "fsync", lambda path: path.name == "state.pt" and "100" in path.parent.name)],
+        [
+            lambda: cut(
+                checkpoints,
+                "fsync",
+                lambda path: path.name == "state.pt" and "100" in path.parent.name,
+            )
+        ],
         [lambda: cut(finish, "save_model", lambda *_: True)] * 2,
     ],
     ids=["in an evaluation", "in a checkpoint", "between its end and its result, twice"],
@@ -165,7 +173,9 @@ def test_a_run_whose_logs_and_newest_checkpoint_were_damaged(uninterrupted, tmp_
     newest = sorted(directory.checkpoints.glob("step=*"))[-1]
     (newest / "state.pt").write_bytes(b"")
     (directory.path / "metrics.jsonl").unlink()
-    (directory.path / "episodes.csv").write_bytes((directory.path / "episodes.csv").read_bytes()[:40])
+    (directory.path / "episodes.csv").write_bytes(
+        (directory.path / "episodes.csv").read_bytes()[:40]
+    )
     (directory.path / "monitor.csv").write_bytes(b"\x00" * 40)
     train(config)
     assert differences(uninterrupted, directory.path) == []
@@ -199,7 +209,9 @@ def built(*overrides):
 
 
 @pytest.mark.parametrize("overrides", [(), ("algorithm.use_sde=true",), ("algorithm=crossq",)])
-def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alone(tmp_path, overrides):
+def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alone(
+    tmp_path, overrides
+):
     env, model = composed_once(*overrides).env, built(*overrides).learn(20)
     before = comparable(rollout_state.get_state(model))
     evaluate(greedy_policy(model), make_task(env), range(3), simulator="vectorized")
@@ -218,7 +230,12 @@ def test_rollout_state_is_restored_as_it_was_saved(kind, tmp_path):
     """In a model that was trained otherwise since; the next random numbers are the same."""
 
     def draws(model):
-        return np.random.normal(), random.random(), torch.rand(1).item(), model.action_space.sample().tolist()
+        return (
+            np.random.normal(),
+            random.random(),
+            torch.rand(1).item(),
+            model.action_space.sample().tolist(),
+        )
 
     model, other = built(*KINDS[kind]), built(*KINDS[kind])
     model.learn(50)

@@ -1,4 +1,6 @@
-"""A run from its config to its result: its files and its MLflow run, also after a kill or a failure."""
+"""A run from its config to its result: its files and its MLflow run, also after a kill or a
+failure.
+"""
 
 import re
 import shutil
@@ -47,28 +49,41 @@ STEPS = [100, 200, 300, 400]
 def test_a_run_prints_its_progress_its_rates_with_intervals_and_its_directories(smoke):
     directory, process, _ = smoke
     assert re.search(
-        r"^success +\d+\.\d%   95 % interval \d+\.\d% to \d+\.\d%   \d of 5$", process.stdout, re.MULTILINE
+        r"^success +\d+\.\d%   95 % interval \d+\.\d% to \d+\.\d%   \d of 5$",
+        process.stdout,
+        re.MULTILINE,
     )
     assert f"run directory  {directory.path}" in process.stdout
     assert f"MLflow run     {directory.run_id}" in process.stdout
     assert "Traceback" not in process.stderr
     lines = [line for line in process.stderr.splitlines() if line.startswith("train ")]
     assert 3 <= len(lines) <= 11
-    assert re.match(r"train  \d+/400 steps  success +\d+%  return +-?\d+\.\d  \d+ steps/s", lines[-1])
+    assert re.match(
+        r"train  \d+/400 steps  success +\d+%  return +-?\d+\.\d  \d+ steps/s", lines[-1]
+    )
 
 
 def test_the_store_has_every_metric_of_an_evaluation(smoke):
     directory, _, output_dir = smoke
     client = store(output_dir)
     for metric in METRICS:
-        assert [step for step, _ in history(client, directory.run_id, f"eval/{metric.key}")] == STEPS
-        assert [step for step, _ in history(client, directory.run_id, f"final/{metric.key}")] == [400]
+        assert [
+            step for step, _ in history(client, directory.run_id, f"eval/{metric.key}")
+        ] == STEPS
+        assert [step for step, _ in history(client, directory.run_id, f"final/{metric.key}")] == [
+            400
+        ]
     for name in ("time/cpu_s", "time/wall_s"):
         values = [value for _, value in history(client, directory.run_id, name)]
         assert values == sorted(values)
         assert len(values) == 4
     metrics = client.get_run(directory.run_id).data.metrics
-    assert {"rollout/success_rate", "rollout/ep_rew_mean", "rollout/ep_len_mean", "train/critic_loss"} <= set(metrics)
+    assert {
+        "rollout/success_rate",
+        "rollout/ep_rew_mean",
+        "rollout/ep_len_mean",
+        "train/critic_loss",
+    } <= set(metrics)
     final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'")
     assert metrics["final/distance_m_mean"] == pytest.approx(final["distance_m"].mean())
     assert metrics["final/timeout_rate"] == (final["outcome"] == "timeout").mean()
@@ -76,7 +91,9 @@ def test_the_store_has_every_metric_of_an_evaluation(smoke):
     with np.load(checkpoints.latest(directory.checkpoints) / checkpoints.BUFFER) as buffer:
         real, virtual = buffer["sampled"]
     assert fractions[-1] == (400, pytest.approx(real / (real + virtual)))
-    assert all(1 / 3 <= fraction < 1 for _, fraction in fractions)  # n_sampled_goal=2, and not all have virtual goals
+    assert all(
+        1 / 3 <= fraction < 1 for _, fraction in fractions
+    )  # n_sampled_goal=2, and not all have virtual goals
     assert_store_is_whole(output_dir, 400)
 
 
@@ -111,14 +128,24 @@ def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_
     assert list(table.columns) == ["phase", "step", *episode_columns(METRICS)]
     scenes = table.groupby(["phase", "step"])["scene"].agg(list).to_dict()
     during = {("eval", step): [0, 1, 2] for step in STEPS}
-    assert scenes == {**during, ("final", 400): [0, 1, 2, 3, 4], ("certified", 400): [0, 1, 2, 3, 4]}
+    assert scenes == {
+        **during,
+        ("final", 400): [0, 1, 2, 3, 4],
+        ("certified", 400): [0, 1, 2, 3, 4],
+    }
     table = table.set_index("phase").drop(columns="step")
-    pd.testing.assert_frame_equal(table.loc["final"], table.loc["certified"].rename({"certified": "final"}))
+    pd.testing.assert_frame_equal(
+        table.loc["final"], table.loc["certified"].rename({"certified": "final"})
+    )
     config = directory.config()
     model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
     load_weights(directory.models / "final.zip", model)
-    theirs = evaluate(greedy_policy(model), make_task(config.env), range(5), simulator="highway_env")
-    assert table.loc["certified", "return"].tolist() == pytest.approx(theirs["return"].tolist(), abs=1e-9)
+    theirs = evaluate(
+        greedy_policy(model), make_task(config.env), range(5), simulator="highway_env"
+    )
+    assert table.loc["certified", "return"].tolist() == pytest.approx(
+        theirs["return"].tolist(), abs=1e-9
+    )
     metrics = directory.result().metrics
     for metric in METRICS:
         assert metrics[f"certified/{metric.key}"] == metrics[f"final/{metric.key}"]
@@ -153,7 +180,9 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
     monkeypatch.setattr(ParkingReward, "__call__", other)
     config = make_config("experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0", "n_envs=1",
                          "total_timesteps=100")  # fmt: skip
-    with pytest.raises(FailedRunError, match=r"5 of 5 cross-checked episodes differ .* scene 0: return -\d"):
+    with pytest.raises(
+        FailedRunError, match=r"5 of 5 cross-checked episodes differ .* scene 0: return -\d"
+    ):
         train(config)
     directory = only_run(output_dir)
     assert directory.status == "failed"
@@ -178,12 +207,16 @@ def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     events.Reload()
     assert [event.step for event in events.Scalars("eval/success_rate")] == STEPS
     assert sorted(events.Tags()["scalars"])[0].startswith("eval/")  # what TensorBoard opens on
-    assert {"replay/real_share", "final/success_rate", "final/certified_success_rate"} <= {*events.Tags()["scalars"]}
+    assert {"replay/real_share", "final/success_rate", "final/certified_success_rate"} <= {
+        *events.Tags()["scalars"]
+    }
     env = make_training_envs(config.env, 1)
     observation, plain = env.reset(), stable_baselines3.SAC.load(path / "models" / "final.zip")
     ours = build_model(config, env, seed=1, for_training=False)
     load_weights(path / "models" / "final.zip", ours)
-    assert (plain.predict(observation, deterministic=True)[0] == greedy_policy(ours)(observation)).all()
+    assert (
+        plain.predict(observation, deterministic=True)[0] == greedy_policy(ours)(observation)
+    ).all()
 
 
 def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke, tmp_path):
@@ -195,10 +228,15 @@ def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke, tmp_p
     assert again.returncode == 0
     assert again.stdout.startswith("already done")
     assert sorted(directory.path.rglob("*")) == before
-    assert train(make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}")) == directory.result()
+    assert (
+        train(make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}"))
+        == directory.result()
+    )
 
 
-def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(output_dir, monkeypatch):
+def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(
+    output_dir, monkeypatch
+):
     arguments = (
         "experiment=smoke", f"output_dir={output_dir}", "checkpoint.every_n_steps=50", "evaluation.video_episodes=0",
         "algorithm._target_=support.user_algorithms.Lingers",  # slow enough to be killed on the way
@@ -219,12 +257,18 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(outp
     assert (directory.run_id, directory.status) == (run_id, "done")
     local = assert_store_is_whole(output_dir, 400)
     assert [step for step, _ in local["eval/success_rate"]] == STEPS
-    updates, episodes = ([value for _, value in local[name]] for name in ("train/n_updates", "time/episodes"))
+    updates, episodes = (
+        [value for _, value in local[name]] for name in ("train/n_updates", "time/episodes")
+    )
     assert updates == sorted(set(updates))
     assert updates[-1] == pytest.approx(0.5 * (400 - 40), abs=10)
     assert episodes == sorted(set(episodes))
     assert len(pd.read_csv(directory.path / "progress.csv")["eval/success_rate"].dropna()) == 4
-    assert not pd.read_csv(directory.path / "episodes.csv").duplicated(["phase", "step", "scene"]).any()
+    assert (
+        not pd.read_csv(directory.path / "episodes.csv")
+        .duplicated(["phase", "step", "scene"])
+        .any()
+    )
 
 
 def test_a_missing_device_is_refused_before_anything_is_on_disk(tmp_path):
@@ -236,13 +280,18 @@ def test_a_missing_device_is_refused_before_anything_is_on_disk(tmp_path):
 
 def test_two_processes_do_not_work_on_one_run(tmp_path):
     config = make_config("experiment=smoke", f"output_dir={tmp_path}")
-    with RunDirectory(config.run_dir).supervisor_lock(), pytest.raises(RunLockedError, match="another process"):
+    with (
+        RunDirectory(config.run_dir).supervisor_lock(),
+        pytest.raises(RunLockedError, match="another process"),
+    ):
         train(config)
 
 
 @pytest.mark.slow
 def test_a_full_disk_under_a_checkpoint_fails_the_run_without_a_traceback(tmp_path):
-    """A file-size limit stands in for it: that of the replay buffer, which is too large in the last of some."""
+    """A file-size limit stands in for it: that of the replay buffer, which is too large in the last
+    of some.
+    """
     command, keywords = script(
         "train", "experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false", "evaluation.video_episodes=0",
         "evaluation.every_n_steps=null", "updates_per_step=0.1", "total_timesteps=4000",
@@ -260,7 +309,9 @@ def test_a_full_disk_under_a_checkpoint_fails_the_run_without_a_traceback(tmp_pa
     assert traceback.startswith("Traceback")
     assert "File too large" in traceback
     assert not [*directory.path.rglob(".tmp-*")]
-    kept = [int(folder.name.removeprefix("step=")) for folder in directory.path.glob("checkpoints/*")]
+    kept = [
+        int(folder.name.removeprefix("step=")) for folder in directory.path.glob("checkpoints/*")
+    ]
     done = subprocess.run(command, check=False, capture_output=True, timeout=180, **keywords)
     assert done.returncode == 0, done.stderr
     assert f"resuming at step {max(kept)}" in done.stderr
@@ -270,12 +321,22 @@ def test_a_full_disk_under_a_checkpoint_fails_the_run_without_a_traceback(tmp_pa
     ("started", "uri", "command"),
     [
         ("scripts/train.py", "sqlite:///{here}/outputs/mlflow.db", "make ui"),
-        ("scripts/train.py", "sqlite:////else/mlflow.db", "make ui STORE=sqlite:////else/mlflow.db"),
-        ("bin/parking-train", "sqlite:////a b.db", "mlflow ui --workers 1 --backend-store-uri 'sqlite:////a b.db'"),
+        (
+            "scripts/train.py",
+            "sqlite:////else/mlflow.db",
+            "make ui STORE=sqlite:////else/mlflow.db",
+        ),
+        (
+            "bin/parking-train",
+            "sqlite:////a b.db",
+            "mlflow ui --workers 1 --backend-store-uri 'sqlite:////a b.db'",
+        ),
         ("my_study.py", "http://host:5000", "http://host:5000"),
     ],
 )
-def test_the_way_to_the_ui_is_that_of_the_store_and_of_the_installation(started, uri, command, tmp_path, monkeypatch):
+def test_the_way_to_the_ui_is_that_of_the_store_and_of_the_installation(
+    started, uri, command, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [started])
     assert ui_command(uri.format(here=tmp_path)) == command

@@ -27,7 +27,9 @@ TUNE = {"name": "tune", "options": QUICK}
 
 
 def tune(output_dir, *arguments, **keywords):
-    return run_script("tune", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING, timeout=600, **keywords)
+    return run_script(
+        "tune", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING, timeout=600, **keywords
+    )
 
 
 def trials(output_dir):
@@ -58,13 +60,19 @@ def test_trial_0_and_the_best_of_the_others_are_retested():
     def chosen(n_retest, *values, runs="abcde"):
         states = ["pruned" if value is None else "done" for value in values]
         zipped = zip(range(9), states, values, runs, strict=False)
-        trials = [TrialRow(number, state, value=value, runs=[run]) for number, state, value, run in zipped]
+        trials = [
+            TrialRow(number, state, value=value, runs=[run]) for number, state, value, run in zipped
+        ]
         return [trial.number for trial in choose_trials(trials, n_retest)]
 
     assert chosen(2, 0.1, 0.9, None, 0.5, 0.9) == [0, 1, 4]
     assert chosen(9, 0.1, 0.9, None, 0.5, 0.9) == [0, 1, 4, 3]
     assert chosen(1, None, 0.9) == [1]
-    assert chosen(3, 0.5, 0.9, 0.9, 0.9, 0.5, runs="abcba") == [0, 1, 2]  # the first of the trials with the same runs
+    assert chosen(3, 0.5, 0.9, 0.9, 0.9, 0.5, runs="abcba") == [
+        0,
+        1,
+        2,
+    ]  # the first of the trials with the same runs
 
 
 def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_path):
@@ -74,7 +82,9 @@ def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_p
     (folder / "algorithm" / "mine.yaml").write_text("defaults:\n  - sac\n  - _self_\ntau: 0.03\n")
     search = user_search(folder, ["algorithm=mine", f"output_dir={tmp_path / 'out'}"])
     search.folder.mkdir(parents=True)
-    winner = RetestedTrial(3, "trial 3: gamma=0.97", {"algorithm.gamma": 0.97}, [0.5, 0.7], [0.4, 0.6])
+    winner = RetestedTrial(
+        3, "trial 3: gamma=0.97", {"algorithm.gamma": 0.97}, [0.5, 0.7], [0.4, 0.6]
+    )
     write_winner(search, [winner], Console(file=out, width=400))
     path = search.folder / "tuned_mine.yaml"
     content = yaml.safe_load(path.read_text())
@@ -82,7 +92,11 @@ def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_p
     assert content["experiment_name"] == "tuned_mine"
     (run,) = compose_runs("config", [f"experiment={path}"], str(folder))
     assert validate(run.cell).cell_key == search.config({"algorithm.gamma": 0.97}).cell_key
-    assert shlex.split(out.getvalue().splitlines()[-1])[-3:] == [f"experiment={path}", "--config-dir", str(folder)]
+    assert shlex.split(out.getvalue().splitlines()[-1])[-3:] == [
+        f"experiment={path}",
+        "--config-dir",
+        str(folder),
+    ]
 
 
 @pytest.mark.slow
@@ -95,7 +109,13 @@ def test_training_the_written_experiment_reproduces_the_winner(tmp_path):
     assert 0 in [trial["number"] for trial in tested["trials"]]
     path = tmp_path / "smoke" / "tuned_smoke.yaml"
     assert yaml.safe_load(path.read_text())["experiment_name"] == "tuned_smoke"
-    trained = run_script("train", f"experiment={path}", "seed=1001", f"output_dir={tmp_path}", "tracking.mlflow=false")
+    trained = run_script(
+        "train",
+        f"experiment={path}",
+        "seed=1001",
+        f"output_dir={tmp_path}",
+        "tracking.mlflow=false",
+    )
     assert trained.returncode == 0, trained.stderr
     winner = tested["trials"][0]["number"]
     (fresh,) = tmp_path.glob("tuned_smoke/*/seed=1001")
@@ -129,7 +149,9 @@ def test_kills_at_random_moments_lose_no_trial_and_repeat_none(tmp_path):
     assert len(set(paths)) == len(list(tmp_path.glob("smoke/*/seed=*")))
     assert {read_state(path).stage for path in paths} <= {"done", "pruned"}
     for path in paths:  # every env step once
-        steps = [line.split(",")[1] for line in (path / "episodes.csv").read_text().splitlines()[1:]]
+        steps = [
+            line.split(",")[1] for line in (path / "episodes.csv").read_text().splitlines()[1:]
+        ]
         assert steps == sorted(steps, key=int)
 
 

@@ -20,7 +20,11 @@ def refused(search):
 
 
 def test_a_trial_has_the_config_that_train_composes_from_the_same_keys(tmp_path):
-    schedule = {"_target_": "stable_baselines3.common.utils.LinearSchedule", "start": 0.002, "end": 1e-5}
+    schedule = {
+        "_target_": "stable_baselines3.common.utils.LinearSchedule",
+        "start": 0.002,
+        "end": 1e-5,
+    }
     changes = {
         "algorithm": "td3",
         "algorithm.learning_rate": schedule | {"end_fraction": 1.0},
@@ -40,7 +44,9 @@ def test_a_trial_has_the_config_that_train_composes_from_the_same_keys(tmp_path)
     assert search.folder == tmp_path / "mine"
 
 
-def test_trial_0_has_the_values_of_the_unchanged_config_and_other_commands_read_the_last_call(tmp_path):
+def test_trial_0_has_the_values_of_the_unchanged_config_and_other_commands_read_the_last_call(
+    tmp_path,
+):
     for n_trials in (7, 3):
         search = Search([*SMOKE, f"output_dir={tmp_path}", f"n_trials={n_trials}"])
         search.open()
@@ -65,7 +71,11 @@ def test_every_search_of_the_package_is_valid(name):
 def test_a_trial_of_somebody_elses_study_changes_nothing_but_the_space():
     search, command = Search(SMOKE), {"_target_": "subprocess.Popen"}
     assert search.config({"algorithm.gamma": 0.95}).algorithm.arguments["gamma"] == 0.95
-    foreign = [("algorithm.action_noise", command), ("output_dir", "elsewhere"), ("algorithm.gamma", command)]
+    foreign = [
+        ("algorithm.action_noise", command),
+        ("output_dir", "elsewhere"),
+        ("algorithm.gamma", command),
+    ]
     outside = [("algorithm.gamma", value) for value in (5.0, -3, True, float("nan"))]
     for key, value in [*foreign, *outside]:
         with pytest.raises(ConfigError, match=rf"^{key}=.* is not in search\.space$"):
@@ -83,15 +93,24 @@ def test_a_trial_of_somebody_elses_study_changes_nothing_but_the_space():
         ({"algorithm.gamma": 0.95}, {"algorithm.gamma": 5.0}),
     ],
 )
-def test_stored_trials_with_values_outside_of_the_space_are_refused_when_they_are_read(tmp_path, changes, parameters):
+def test_stored_trials_with_values_outside_of_the_space_are_refused_when_they_are_read(
+    tmp_path, changes, parameters
+):
     search = user_search(tmp_path / "options", [f"output_dir={tmp_path}"])
     opened = search.open()
     search.save()
     distributions = {key: FloatDistribution(0, 10) for key in parameters}
     opened.study.add_trial(
-        create_trial(value=0.5, params=parameters, distributions=distributions, user_attrs={"changes": changes})
+        create_trial(
+            value=0.5,
+            params=parameters,
+            distributions=distributions,
+            user_attrs={"changes": changes},
+        )
     )
-    with pytest.raises(ConfigError, match=r"^the study is damaged: trial 1 has \S+ outside of search\.space$"):
+    with pytest.raises(
+        ConfigError, match=r"^the study is damaged: trial 1 has \S+ outside of search\.space$"
+    ):
         study_in(search.folder)
 
 
@@ -105,7 +124,9 @@ def test_a_search_is_refused_once_an_option_that_it_chooses_from_has_other_conte
     Search(search.overrides, search.extra_config_dir).open()
     _compose_groups.cache_clear()  # as in another process
     option.write_text("defaults: [sac, _self_]\nname: mine\ntau: 0.01\n")
-    with pytest.raises(ConfigError, match=r"^the study mine was made with another algorithm=mine; restore that"):
+    with pytest.raises(
+        ConfigError, match=r"^the study mine was made with another algorithm=mine; restore that"
+    ):
         Search(search.overrides, search.extra_config_dir).open()
 
 
@@ -116,8 +137,14 @@ def test_a_search_is_refused_once_an_option_that_it_chooses_from_has_other_conte
         ([*SMOKE, "seeds=3"], "search.tuning_seeds"),
         ([*SMOKE, "buffer=her_future,her_final"], "one value for each key"),
         ([*SMOKE, "algorithm.gamma=0.9"], "algorithm.gamma is both"),
-        ([*SMOKE, "+search.space.output_dir={choices: [a]}"], "space has output_dir, which is no hyperparameter"),
-        ([*SMOKE, "+search.space.total_timesteps={int: [50,60]}"], "space has total_timesteps, which is no"),
+        (
+            [*SMOKE, "+search.space.output_dir={choices: [a]}"],
+            "space has output_dir, which is no hyperparameter",
+        ),
+        (
+            [*SMOKE, "+search.space.total_timesteps={int: [50,60]}"],
+            "space has total_timesteps, which is no",
+        ),
         ([*SMOKE, "n_trials=1000000000"], "n_trials=1000000000: "),
     ],
 )

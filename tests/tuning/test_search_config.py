@@ -47,7 +47,11 @@ def test_a_value_outside_of_a_dimension_has_no_parameter(form, value):
             [0.9, 0.95, 0.99],
             [5.0, -3, True, float("nan"), float("inf"), "0.95", [0.95], None],
         ),
-        ({"uniform": [0.12345678, 0.2345678]}, [0.123457, 0.234568], [0.123456, 0.234569]),  # rounded to six digits
+        (
+            {"uniform": [0.12345678, 0.2345678]},
+            [0.123457, 0.234568],
+            [0.123456, 0.234569],
+        ),  # rounded to six digits
         ({"log": [1e-4, 1e-2]}, [1e-4, 0.003], [0, 0.02, False]),
         ({"int": [1, 8]}, [1, 8], [0, 9, 2.0, True]),
         ({"choices": ["sac", None, 1]}, ["sac", None, 1], ["td3", True, float("nan")]),
@@ -61,10 +65,21 @@ def test_a_trial_may_have_the_values_that_its_dimension_can_sample(form, allowed
 
 def test_sampled_values_lie_within_both_ends_and_have_six_digits():
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
-    forms = {"a": {"log": [1e-4, 1e-2]}, "b": {"uniform": [0.9, 1]}, "c": {"int": [1, 3]}, "d": {"choices": [[1], [2]]}}
+    forms = {
+        "a": {"log": [1e-4, 1e-2]},
+        "b": {"uniform": [0.9, 1]},
+        "c": {"int": [1, 3]},
+        "d": {"choices": [[1], [2]]},
+    }
     space = {key: Dimension.model_validate(form) for key, form in forms.items()}
-    trials = [study.ask({key: dimension.distribution() for key, dimension in space.items()}) for _ in range(200)]
-    sampled = {key: [dimension.to_value(trial.params[key]) for trial in trials] for key, dimension in space.items()}
+    trials = [
+        study.ask({key: dimension.distribution() for key, dimension in space.items()})
+        for _ in range(200)
+    ]
+    sampled = {
+        key: [dimension.to_value(trial.params[key]) for trial in trials]
+        for key, dimension in space.items()
+    }
     assert all(1e-4 <= value <= 1e-2 and value == float(f"{value:.6g}") for value in sampled["a"])
     assert 60 < sum(value < 1e-3 for value in sampled["a"]) < 140  # half of the log scale
     assert all(0.9 <= value <= 1 for value in sampled["b"])

@@ -1,4 +1,6 @@
-"""The study of a search: who works on which trial, after kills, in several processes, with changed searches."""
+"""The study of a search: who works on which trial, after kills, in several processes, with changed
+searches.
+"""
 
 import json
 import multiprocessing
@@ -33,10 +35,14 @@ def states(opened, n_trials):
 
 
 @pytest.mark.parametrize(("gamma", "parameters"), [(0.95, {"algorithm.gamma": 0.95}), (0.5, {})])
-def test_trial_0_is_the_unchanged_config_whose_values_the_sampler_knows(tmp_path, gamma, parameters):
+def test_trial_0_is_the_unchanged_config_whose_values_the_sampler_knows(
+    tmp_path, gamma, parameters
+):
     study = opened(tmp_path, values={"algorithm.gamma": gamma})
     assert finish(study, 3) == (0, {})
-    assert study.study.get_trials()[0].params == parameters  # what is outside of the space is not one
+    assert (
+        study.study.get_trials()[0].params == parameters
+    )  # what is outside of the space is not one
     number, changes = finish(study, 3)
     assert (number, 0.9 <= changes["algorithm.gamma"] <= 0.99) == (1, True)
     assert claim(study, settings(), 2) is None
@@ -82,12 +88,16 @@ def test_a_trial_whose_process_was_killed_is_free_at_once(tmp_path):
 def test_a_restarted_search_repeats_no_trial(tmp_path):
     """Also with another sampler and pruner, which may change later."""
     searches = [settings(), *[settings(sampler="random", pruner="median")] * 3]
-    gammas = [finish(opened(tmp_path, search), 4, search)[1].get("algorithm.gamma") for search in searches]
+    gammas = [
+        finish(opened(tmp_path, search), 4, search)[1].get("algorithm.gamma") for search in searches
+    ]
     assert gammas[0] is None
     assert len(set(gammas)) == 4
 
 
-@pytest.mark.parametrize("half", [b'{"op_code":4,"worker_id"', b"{" + 2**21 * b"x"], ids=["short", "long"])
+@pytest.mark.parametrize(
+    "half", [b'{"op_code":4,"worker_id"', b"{" + 2**21 * b"x"], ids=["short", "long"]
+)
 def test_an_incomplete_line_that_a_kill_left_in_the_journal_is_removed(tmp_path, half):
     study = opened(tmp_path)
     first, _ = claim(study, settings(), 3)
@@ -108,9 +118,13 @@ def test_an_incomplete_line_that_a_kill_left_in_the_journal_is_removed(tmp_path,
         ({"total_timesteps": 401}, "base config"),
     ],
 )  # fmt: skip
-def test_the_study_of_another_search_or_config_is_refused_and_what_differs_is_named(tmp_path, changes, key):
+def test_the_study_of_another_search_or_config_is_refused_and_what_differs_is_named(
+    tmp_path, changes, key
+):
     opened(tmp_path)
-    config = base(tmp_path).model_copy(update={"total_timesteps": changes.pop("total_timesteps", 400)})
+    config = base(tmp_path).model_copy(
+        update={"total_timesteps": changes.pop("total_timesteps", 400)}
+    )
     with pytest.raises(ConfigError, match=f"another {key};"):
         open_study(tmp_path / "test", settings(**changes), config, VALUES)
 
@@ -120,7 +134,12 @@ def test_a_study_whose_trials_had_another_final_evaluation_is_refused(tmp_path):
     config = base(tmp_path)
     evaluation = config.evaluation.model_copy(update={"final_n_scenes": 6})
     with pytest.raises(ConfigError, match=r"another evaluation\.final_n_scenes;"):
-        open_study(tmp_path / "test", settings(), config.model_copy(update={"evaluation": evaluation}), VALUES)
+        open_study(
+            tmp_path / "test",
+            settings(),
+            config.model_copy(update={"evaluation": evaluation}),
+            VALUES,
+        )
 
 
 def test_a_journal_that_is_damaged_is_reported_in_one_sentence(tmp_path):
@@ -131,7 +150,9 @@ def test_a_journal_that_is_damaged_is_reported_in_one_sentence(tmp_path):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["study.journal", "study.journal.lock", ".claiming", ".trials", ".trials/00000.lock"])
+@pytest.mark.parametrize(
+    "name", ["study.journal", "study.journal.lock", ".claiming", ".trials", ".trials/00000.lock"]
+)
 def test_files_of_a_search_that_are_links_out_of_its_folder_are_refused(tmp_path, name):
     link = tmp_path / "test" / name
     link.parent.mkdir(parents=True)

@@ -38,7 +38,9 @@ def training_that_ends_with(calls, **status):
 
 def succeed(path, rate=0.5):
     """Finish a run, with one success rate from beginning to end."""
-    RunDirectory(path).finish(RunResult(str(path), None, 60, {"final/success_rate": rate}), wall_s=1)
+    RunDirectory(path).finish(
+        RunResult(str(path), None, 60, {"final/success_rate": rate}), wall_s=1
+    )
     return "done"
 
 
@@ -48,24 +50,35 @@ def trials(search):
 
 def test_a_killed_run_is_tried_three_times_and_a_full_disk_leaves_the_trial_open(search):
     calls = []
-    full_disk = training_that_ends_with(calls, status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}")
+    full_disk = training_that_ends_with(
+        calls, status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}"
+    )
     with pytest.raises(OutputDirectoryError, match=r"trial 0: .*No space left"):
         work(search, full_disk)
     assert (len(calls), trials(search)[0].state) == (3, "pending")
-    work(search, training_that_ends_with(calls, status="failed", error="killed by SIGKILL", killed=True))
+    work(
+        search,
+        training_that_ends_with(calls, status="failed", error="killed by SIGKILL", killed=True),
+    )
     assert len(calls) == 9
     assert [trial.state for trial in trials(search)] == ["failed"] * 2
 
 
 def test_a_failed_run_fails_its_trial_and_a_stopped_one_leaves_it_open(search):
     work(search, training_that_ends_with([], status="failed", error="broken"))
-    assert [(trial.state, trial.reason) for trial in trials(search)] == [("failed", "seed 1001: broken")] * 2
+    assert [(trial.state, trial.reason) for trial in trials(search)] == [
+        ("failed", "seed 1001: broken")
+    ] * 2
     more = Search([*search.overrides, "n_trials=3"])
     work(more, lambda path: "stopped")
     more.save()
     assert trials(more)[2].state == "pending"
     work(more, succeed)
-    assert (trials(more)[2].state, trials(more)[2].by_seed, trials(more)[2].value) == ("done", [0.5, 0.5], 0.5)
+    assert (trials(more)[2].state, trials(more)[2].by_seed, trials(more)[2].value) == (
+        "done",
+        [0.5, 0.5],
+        0.5,
+    )
 
 
 def test_a_trial_that_is_worse_than_the_median_is_pruned_after_a_seed_and_trial_0_is_not(search):
@@ -77,7 +90,12 @@ def test_a_trial_that_is_worse_than_the_median_is_pruned_after_a_seed_and_trial_
         work(more, succeed)
         more.save()
         first, *_, last = trials(more)
-        assert (first.state, len(first.runs), last.state, len(last.runs)) == ("done", 2, "pruned", 1)
+        assert (first.state, len(first.runs), last.state, len(last.runs)) == (
+            "done",
+            2,
+            "pruned",
+            1,
+        )
     assert read_state(more.base.output_path / last.runs[0]).stage == "done"
 
 
@@ -85,7 +103,14 @@ def test_the_objective_is_the_normalised_area_under_the_success_curve(tmp_path):
     directory = RunDirectory(tmp_path / "seed=0")
     directory.create(make_config(f"output_dir={tmp_path}"))
     rates = {1000: 0.0, 2000: 0.5, 3000: 0.96, 4000: 0.95}
-    lines = [{"step": step, "time_ms": 0, "metrics": {"eval/success_rate": rate}} for step, rate in rates.items()]
-    (directory.path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    directory.finish(RunResult(str(directory.path), None, 5000, {"final/success_rate": 1.0}), wall_s=1)
+    lines = [
+        {"step": step, "time_ms": 0, "metrics": {"eval/success_rate": rate}}
+        for step, rate in rates.items()
+    ]
+    (directory.path / "metrics.jsonl").write_text(
+        "".join(json.dumps(line) + "\n" for line in lines)
+    )
+    directory.finish(
+        RunResult(str(directory.path), None, 5000, {"final/success_rate": 1.0}), wall_s=1
+    )
     assert success_auc(directory) == pytest.approx((0.25 + 0.73 + 0.955 + 0.975) / 4)

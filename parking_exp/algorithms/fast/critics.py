@@ -22,28 +22,39 @@ class Critics:
         self.networks = [MLP(parameters(network)) for network in networks]
         self.targets = [MLP(parameters(network)) for network in targets]
         self.flat = FlatTensors([tensor for network in networks for tensor in parameters(network)])
-        self.flat_target = FlatTensors([tensor for network in targets for tensor in parameters(network)])
+        self.flat_target = FlatTensors(
+            [tensor for network in targets for tensor in parameters(network)]
+        )
         self.adam = Adam(model.critic.optimizer, self.flat)
 
     def target_value(self, inputs: torch.Tensor) -> torch.Tensor:
         """Return the smallest target value of each transition, shape (batch, 1)."""
-        return torch.cat([network.forward(inputs)[-1] for network in self.targets], 1).amin(1, keepdim=True)
+        return torch.cat([network.forward(inputs)[-1] for network in self.targets], 1).amin(
+            1, keepdim=True
+        )
 
     def update(self, inputs: torch.Tensor, target: torch.Tensor, weight: float) -> torch.Tensor:
-        """Take one step on `weight` times the sum of mean squared errors; return errors, shape (critics, batch, 1)."""
+        """Take one step on `weight` times the sum of mean squared errors; return errors, shape
+        (critics, batch, 1).
+        """
         size = 2 * len(self.networks[0].layers)
         errors = []
         for number, network in enumerate(self.networks):
             values = network.forward(inputs)
             error = values[-1] - target
             gradient = error * (2 / len(target) * weight)
-            network.backward(values, gradient, self.adam.gradients[number * size : (number + 1) * size])
+            network.backward(
+                values, gradient, self.adam.gradients[number * size : (number + 1) * size]
+            )
             errors.append(error)
         self.adam.step()
         return torch.stack(errors)
 
-    def action_gradient(self, inputs: torch.Tensor, n_actions: int, first: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the values of actions, shape (batch, 1), and the gradient of minus their mean, shape (batch, actions).
+    def action_gradient(
+        self, inputs: torch.Tensor, n_actions: int, first: bool
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the values of actions, shape (batch, 1), and the gradient of minus their mean,
+        shape (batch, actions).
 
         The value is the first critic's (TD3) or the smallest (SAC).
         """

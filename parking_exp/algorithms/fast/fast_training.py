@@ -12,16 +12,22 @@ from torch import nn
 
 from parking_exp.algorithms.fast.mlp import linear_layers
 from parking_exp.algorithms.fast.optimizer import is_plain_adam
-from parking_exp.algorithms.mirrored_policies import MirroredActor, MirroredCritic, MirroredGaussianActor
+from parking_exp.algorithms.mirrored_policies import (
+    MirroredActor,
+    MirroredCritic,
+    MirroredGaussianActor,
+)
 from parking_exp.tasks.feature_extractors import TaskFeatures
 
 EXTRACTORS = (CombinedExtractor, FlattenExtractor)
 
 
 class FastTraining:
-    """Mixin that replaces the `train` of an off-policy class of Stable-Baselines3; list it before that class.
+    """Mixin that replaces the `train` of an off-policy class of Stable-Baselines3; list it before
+    that class.
 
-    Models that the fast update does not support (`is_supported`) are trained by Stable-Baselines3's `train`.
+    Models that the fast update does not support (`is_supported`) are trained by Stable-Baselines3's
+    `train`.
 
     Attributes:
         update_class: the update of one model's networks, without autograd: SAC's or TD3's.
@@ -45,11 +51,14 @@ class FastTraining:
             self.logger.record(f"train/{name}", value)
 
     def bind(self: Any) -> None:
-        """Flatten the memory of networks and optimizers as the update needs it, unless it is already.
+        """Flatten the memory of networks and optimizers as the update needs it, unless it is
+        already.
 
-        Whether the model is supported is checked at the same time: when it is new, or its weights were replaced.
+        Whether the model is supported is checked at the same time: when it is new, or its weights
+        were replaced.
 
-        `train` calls this. Restoring a model calls it too: weights elsewhere in memory may round differently.
+        `train` calls this. Restoring a model calls it too: weights elsewhere in memory may round
+        differently.
         """
         if self._addresses() == self._bound:
             return
@@ -58,13 +67,21 @@ class FastTraining:
         self._bound = self._addresses()
 
     def _addresses(self: Any) -> list[int]:
-        """Return where weights and optimizer states are: loading, copying or moving a model replaces some of them."""
+        """Return where weights and optimizer states are: loading, copying or moving a model
+        replaces some of them.
+        """
         states = [state for optimizer in self._optimizers() for state in optimizer.state.values()]
-        averages = [state["exp_avg"] for state in states if "exp_avg" in state]  # replaced together with the others
+        averages = [
+            state["exp_avg"] for state in states if "exp_avg" in state
+        ]  # replaced together with the others
         return [tensor.data_ptr() for tensor in (*self.policy.parameters(), *averages)]
 
     def _optimizers(self: Any) -> list[torch.optim.Optimizer]:
-        optimizers = (self.actor.optimizer, self.critic.optimizer, getattr(self, "ent_coef_optimizer", None))
+        optimizers = (
+            self.actor.optimizer,
+            self.critic.optimizer,
+            getattr(self, "ent_coef_optimizer", None),
+        )
         return [optimizer for optimizer in optimizers if optimizer is not None]
 
     def _excluded_save_params(self: Any) -> list[str]:
@@ -74,15 +91,17 @@ class FastTraining:
 def is_supported(model: Any) -> bool:
     """Return whether the fast update supports everything in a SAC, TD3 or DDPG model.
 
-    It supports Stable-Baselines3's own actors and critics and this package's mirrored ones, MLPs with ReLU, features
-    without parameters, plain Adam and the CPU; not gSDE.
+    It supports Stable-Baselines3's own actors and critics and this package's mirrored ones, MLPs
+    with ReLU, features without parameters, plain Adam and the CPU; not gSDE.
     """
     actor, critic = model.actor, model.critic
     mirrored = type(critic) is MirroredCritic
     if not (mirrored or type(critic) is ContinuousCritic) or getattr(model, "use_sde", False):
         return False
     if type(actor) is (MirroredGaussianActor if mirrored else GaussianActor):
-        known = linear_layers(actor.latent_pi) and type(actor.mu) is type(actor.log_std) is nn.Linear
+        known = (
+            linear_layers(actor.latent_pi) and type(actor.mu) is type(actor.log_std) is nn.Linear
+        )
     else:
         deterministic = type(actor) is (MirroredActor if mirrored else DeterministicActor)
         known = deterministic and linear_layers(actor.mu, last=nn.Tanh)
@@ -102,8 +121,15 @@ def _is_known(extractor: Any) -> bool:
 
 
 def _is_fully_trained(network: Any) -> bool:
-    """Return whether plain Adam trains all of a network's parameters, and its features extractor has none."""
-    if not is_plain_adam(network.optimizer) or next(network.features_extractor.parameters(), None) is not None:
+    """Return whether plain Adam trains all of a network's parameters, and its features extractor
+    has none.
+    """
+    if (
+        not is_plain_adam(network.optimizer)
+        or next(network.features_extractor.parameters(), None) is not None
+    ):
         return False
     (group,) = network.optimizer.param_groups
-    return {id(tensor) for tensor in group["params"]} == {id(tensor) for tensor in network.parameters()}
+    return {id(tensor) for tensor in group["params"]} == {
+        id(tensor) for tensor in network.parameters()
+    }

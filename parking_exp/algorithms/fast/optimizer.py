@@ -8,18 +8,22 @@ BLOCK = 32
 
 
 class FlatTensors:
-    """Tensors whose data are views of one flat vector: one operation on the vector updates them all.
+    """Tensors whose data are views of one flat vector: one operation on the vector updates them
+    all.
 
-    Tensors keep their identity, so code that reads, saves or loads them needs no change. Torch rounds the tail of a
-    vector, its length modulo 32, differently: tensors of whole blocks come first, so that every element is rounded as
-    it would be in its own tensor.
+    Tensors keep their identity, so code that reads, saves or loads them needs no change. Torch
+    rounds the tail of a
+    vector, its length modulo 32, differently: tensors of whole blocks come first, so that every
+    element is rounded as it would be in its own tensor.
     """
 
     def __init__(self, tensors: Sequence[torch.Tensor]) -> None:
         self.tensors = list(tensors)
         numbers = range(len(self.tensors))
         self._order = sorted(numbers, key=lambda number: self.tensors[number].numel() % BLOCK > 0)
-        self.vector = torch.cat([self.tensors[number].detach().reshape(-1) for number in self._order])
+        self.vector = torch.cat(
+            [self.tensors[number].detach().reshape(-1) for number in self._order]
+        )
         for tensor, view in zip(self.tensors, self.split(self.vector), strict=True):
             tensor.data = view
 
@@ -31,7 +35,8 @@ class FlatTensors:
 
 
 class Adam:
-    """Step a `torch.optim.Adam` whose parameters are one `FlatTensors`, with torch's own operations in their order.
+    """Step a `torch.optim.Adam` whose parameters are one `FlatTensors`, with torch's own operations
+    in their order.
 
     The state stays in the optimizer, which saves and loads it as usual.
 
@@ -67,16 +72,22 @@ class Adam:
         square.mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
         scale = (1 - beta2**self._step) ** 0.5
         denominator = square.sqrt().div_(scale).add_(group["eps"])
-        self.parameters.vector.addcdiv_(mean, denominator, value=-group["lr"] / (1 - beta1**self._step))
+        self.parameters.vector.addcdiv_(
+            mean, denominator, value=-group["lr"] / (1 - beta1**self._step)
+        )
 
 
 def polyak_update(target: FlatTensors, source: FlatTensors, tau: float) -> None:
-    """Update target networks by Polyak averaging, as `stable_baselines3.common.utils.polyak_update` does."""
+    """Update target networks by Polyak averaging, as `stable_baselines3.common.utils.polyak_update`
+    does.
+    """
     target.vector.mul_(1 - tau).add_(source.vector, alpha=tau)
 
 
 def is_plain_adam(optimizer: torch.optim.Optimizer) -> bool:
-    """Return whether an optimizer is Adam as SB3 makes it by default: one group, on the CPU, no variants."""
+    """Return whether an optimizer is Adam as SB3 makes it by default: one group, on the CPU, no
+    variants.
+    """
     if type(optimizer) is not torch.optim.Adam or len(optimizer.param_groups) != 1:
         return False
     group = optimizer.param_groups[0]

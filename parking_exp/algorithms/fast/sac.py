@@ -46,7 +46,9 @@ class _Update:
 
     def _step(self, model: Any, minibatch: Minibatch) -> "_Logged":
         """Do one update."""
-        features, actions, rewards, discounts, _ = minibatch  # only TD3's target noise needs the signs
+        features, actions, rewards, discounts, _ = (
+            minibatch  # only TD3's target noise needs the signs
+        )
         n, n_actions = actions.shape
         noise = torch.empty((2, n, n_actions), dtype=features.dtype)
         noise[0].normal_()  # one after the other, as Stable-Baselines3 draws them
@@ -54,7 +56,9 @@ class _Update:
         # States and next states share the actor: one pass for both.
         values = self.actor.forward(features)
         hidden = values[-1].relu_()
-        policy = _SquashedGaussian(self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1))
+        policy = _SquashedGaussian(
+            self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1)
+        )
         log_prob, next_log_prob = policy.log_prob[:n], policy.log_prob[n:]
         ent_coef = self._update_ent_coef(model, log_prob)
 
@@ -68,13 +72,21 @@ class _Update:
         self._update_actor([v[:n] for v in values], grad_mean, grad_log_std)
         return _Logged(ent_coef, log_prob, value, errors)
 
-    def _update_actor(self, values: list[torch.Tensor], grad_mean: torch.Tensor, grad_log_std: torch.Tensor) -> None:
-        """Pass the gradients by both heads' outputs back through them and the body, and take a step."""
+    def _update_actor(
+        self, values: list[torch.Tensor], grad_mean: torch.Tensor, grad_log_std: torch.Tensor
+    ) -> None:
+        """Pass the gradients by both heads' outputs back through them and the body, and take a
+        step.
+        """
         *body, _, _, _, _ = gradients = self.adam.gradients
         self.mean.backward(values[-1:], grad_mean, gradients[-4:-2])
         self.log_std.backward(values[-1:], grad_log_std, gradients[-2:])
-        grad_hidden = self.mean.input_gradient([], grad_mean) + self.log_std.input_gradient([], grad_log_std)
-        self.actor.backward(values, torch.ops.aten.threshold_backward(grad_hidden, values[-1], 0), body)
+        grad_hidden = self.mean.input_gradient([], grad_mean) + self.log_std.input_gradient(
+            [], grad_log_std
+        )
+        self.actor.backward(
+            values, torch.ops.aten.threshold_backward(grad_hidden, values[-1], 0), body
+        )
         self.adam.step()
 
     def _update_ent_coef(self, model: Any, log_prob: torch.Tensor) -> torch.Tensor:
@@ -88,8 +100,12 @@ class _Update:
         return ent_coef
 
     def _losses(self, model: Any, history: list["_Logged"]) -> dict[str, float]:
-        """Return the mean entropy coefficient and losses of several updates: cheaper at once than one by one."""
-        ent_coef, log_prob, value, errors = (torch.stack(column) for column in zip(*history, strict=True))
+        """Return the mean entropy coefficient and losses of several updates: cheaper at once than
+        one by one.
+        """
+        ent_coef, log_prob, value, errors = (
+            torch.stack(column) for column in zip(*history, strict=True)
+        )
         means = {
             "ent_coef": ent_coef.mean(),
             "actor_loss": (ent_coef.unsqueeze(2) * log_prob - value).mean(),
@@ -118,10 +134,11 @@ class _Logged(NamedTuple):
 
 
 class _SquashedGaussian:
-    """Actions of a Gaussian policy squashed by tanh, their log probabilities, and the gradients through both.
+    """Actions of a Gaussian policy squashed by tanh, their log probabilities, and the gradients
+    through both.
 
-    The operations are those of Stable-Baselines3 and torch.distributions, in their order; terms that cancel but for
-    rounding are kept, since Adam's first steps magnify rounding.
+    The operations are those of Stable-Baselines3 and torch.distributions, in their order; terms
+    that cancel but for rounding are kept, since Adam's first steps magnify rounding.
 
     Args:
         mean, raw_log_std: outputs of the actor, shape (n, actions).
@@ -140,20 +157,30 @@ class _SquashedGaussian:
         self.offset = sample - mean
         self.double_variance = 2 * self.std**2
         density = 1 - self.actions**2 + EPSILON
-        log_prob = (-(self.offset**2) / self.double_variance - self.std.log() - LOG_SQRT_2_PI).sum(1)
+        log_prob = (-(self.offset**2) / self.double_variance - self.std.log() - LOG_SQRT_2_PI).sum(
+            1
+        )
         self.log_prob = (log_prob - density.log().sum(1)).unsqueeze(1)
 
     def backward(
         self, n: int, grad_action: torch.Tensor, grad_log_prob: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the gradients by mean and raw log standard deviation of the first n actions, shape (n, actions).
+        """Return the gradients by mean and raw log standard deviation of the first n actions, shape
+        (n, actions).
 
-        `grad_action` is the loss's gradient by the actions without log_prob, shape (n, actions); `grad_log_prob` that
-        by each log probability, one number.
+        `grad_action` is the loss's gradient by the actions without log_prob, shape (n, actions);
+        `grad_log_prob` that by each log probability, one number.
         """
         noise, std, actions, offset, double_variance, raw_log_std = (
             tensor[:n]
-            for tensor in (self.noise, self.std, self.actions, self.offset, self.double_variance, self.raw_log_std)
+            for tensor in (
+                self.noise,
+                self.std,
+                self.actions,
+                self.offset,
+                self.double_variance,
+                self.raw_log_std,
+            )
         )
         density = 1 - actions**2 + EPSILON
         grad_square = -grad_log_prob / double_variance
@@ -161,12 +188,16 @@ class _SquashedGaussian:
         grad_squashed = grad_log_prob / density * (2 * actions) + grad_action
         grad_sample = torch.ops.aten.tanh_backward(grad_squashed, actions) + grad_offset
         grad_double_variance = -grad_log_prob * (-(offset**2) / double_variance / double_variance)
-        grad_std = -grad_log_prob / std + (grad_double_variance * 2) * (2 * std) + grad_sample * noise
+        grad_std = (
+            -grad_log_prob / std + (grad_double_variance * 2) * (2 * std) + grad_sample * noise
+        )
         inside = (raw_log_std >= LOG_STD_MIN) & (raw_log_std <= LOG_STD_MAX)
         return grad_sample - grad_offset, grad_std * std * inside
 
 
 class SAC(FastTraining, stable_baselines3.SAC):
-    """Stable-Baselines3's SAC with a faster `train`: same arithmetic, constructor, `save`, `load`, `predict`, logs."""
+    """Stable-Baselines3's SAC with a faster `train`: same arithmetic, constructor, `save`, `load`,
+    `predict`, logs.
+    """
 
     update_class = _Update

@@ -29,7 +29,9 @@ class _Update:
         for features, actions, rewards, discounts, next_signs in batches:
             model._n_updates += 1
             n = len(actions)
-            noise = torch.empty_like(actions).normal_(0, model.target_policy_noise)  # as Stable-Baselines3 draws it
+            noise = torch.empty_like(actions).normal_(
+                0, model.target_policy_noise
+            )  # as Stable-Baselines3 draws it
             noise.clamp_(-model.target_noise_clip, model.target_noise_clip)
             noise.mul_(next_signs)  # it is drawn for the env's actions
             next_actions = noise.add_(self.target.forward(features[n:])[-1].tanh_()).clamp_(-1, 1)
@@ -42,20 +44,26 @@ class _Update:
                 self.critics.polyak_update(model.tau)
                 polyak_update(self.flat_target, self.flat, model.tau)
         losses = {"actor_loss": actor_losses, "critic_loss": critic_losses}
-        return {name: torch.stack(values).mean().item() for name, values in losses.items() if values}
+        return {
+            name: torch.stack(values).mean().item() for name, values in losses.items() if values
+        }
 
     def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
         values = self.actor.forward(features)
         actions = torch.tanh(values[-1])
         inputs = torch.cat((features, actions), 1)
         value, gradient = self.critics.action_gradient(inputs, actions.shape[1], first=True)
-        self.actor.backward(values, torch.ops.aten.tanh_backward(gradient, actions), self.adam.gradients)
+        self.actor.backward(
+            values, torch.ops.aten.tanh_backward(gradient, actions), self.adam.gradients
+        )
         self.adam.step()
         return -value.mean()
 
 
 class TD3(FastTraining, stable_baselines3.TD3):
-    """Stable-Baselines3's TD3 with a faster `train`: same arithmetic, constructor, `save`, `load`, `predict`, logs."""
+    """Stable-Baselines3's TD3 with a faster `train`: same arithmetic, constructor, `save`, `load`,
+    `predict`, logs.
+    """
 
     update_class = _Update
 

@@ -25,13 +25,23 @@ from parking_exp.tasks.registry import FAILURES
 
 _GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are spread evenly
 _MOST_SEED_LINES = 4  # cells; with more, lines of seeds hide the means
-_LINE_90: dict[str, Any] = {"color": INK, "linewidth": 0.7, "linestyle": (0, (2, 2)), "alpha": 0.7, "zorder": 1}
+_LINE_90: dict[str, Any] = {
+    "color": INK,
+    "linewidth": 0.7,
+    "linestyle": (0, (2, 2)),
+    "alpha": 0.7,
+    "zorder": 1,
+}
 
 
 def _count_seeds(counts: Sequence[int]) -> str:
     """Return e.g. `10 seeds per cell` or `3 to 10 seeds per cell`."""
     low, high = min(counts), max(counts)
-    return f"{plural(high, 'seed')} per cell" if low == high else f"{low} to {plural(high, 'seed')} per cell"
+    return (
+        f"{plural(high, 'seed')} per cell"
+        if low == high
+        else f"{low} to {plural(high, 'seed')} per cell"
+    )
 
 
 def draw_final_success(report: ReportData) -> Iterator[Drawing]:
@@ -49,8 +59,10 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     n_seeds = _count_seeds([cell.success.n for cell in cells])
     yield (
         figure,
-        f"Final success over the evaluation episodes. Points: seeds ({n_seeds}), spread vertically so that "
-        "they do not overlap; bar: mean with its 95 % interval, where there is one, cut at 0 and 100 %. Dashed: 90 %.",
+        f"Final success over the evaluation episodes. Points: seeds ({n_seeds}), spread vertically "
+        "so that "
+        "they do not overlap; bar: mean with its 95 % interval, where there is one, cut at 0 and "
+        "100 %. Dashed: 90 %.",
     )
 
 
@@ -60,18 +72,30 @@ def _draw_seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
     rates = [100 * seed.success for seed in cell.seeds if seed.success is not None]
     if not rates:
         in_row = axes.get_yaxis_transform()
-        axes.text(0.01, row, "no finished seeds", transform=in_row, va="center", style="italic", fontsize=SMALL_PT)
+        axes.text(
+            0.01,
+            row,
+            "no finished seeds",
+            transform=in_row,
+            va="center",
+            style="italic",
+            fontsize=SMALL_PT,
+        )
         return
     heights = [row - 0.32 + 0.36 * (k * _GOLDEN % 1) for k in range(len(rates))]
     axes.plot(rates, heights, alpha=0.6, markersize=3.2, **style.points)
     mean, low, high = percentages([cell.success.value, cell.success.low, cell.success.high])
-    axes.plot(np.clip([low, high], 0, 100), [row + 0.24] * 2, color=style.colour, marker="|", markersize=5)
+    axes.plot(
+        np.clip([low, high], 0, 100), [row + 0.24] * 2, color=style.colour, marker="|", markersize=5
+    )
     axes.plot(mean, row + 0.24, markersize=4.2, **style.points)
 
 
 def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     """Draw mean success with the range of the seeds, and mean failure rate, against env steps."""
-    curves = [(cell, cell.curve) for cell in report.shown_cells if cell.curve and len(cell.curve.step) > 1]
+    curves = [
+        (cell, cell.curve) for cell in report.shown_cells if cell.curve and len(cell.curve.step) > 1
+    ]
     if not curves:
         return
     cells, with_seeds = [cell for cell, _ in curves], len(curves) <= _MOST_SEED_LINES
@@ -83,22 +107,30 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     time_axis(success, "")
     time_axis(failure, "env steps")
     success.set(ylim=(-2, 103), ylabel="success (%)")
-    names = [name for name in FAILURES if any(name in cell.further for cell in cells)] or ["failure"]
+    names = [name for name in FAILURES if any(name in cell.further for cell in cells)] or [
+        "failure"
+    ]
     failure.set(ylim=(0, max(10, failure.get_ylim()[1])), ylabel=f"{' or '.join(names)} (%)")
     n_seeds = [len(curve.seeds) for _, curve in curves]
     lines = "thin lines: seeds; " if with_seeds else ""
     yield (
         figure,
-        f"Evaluations during training. Above: mean success over seeds ({_count_seeds(n_seeds)}) between the "
-        f"lowest and the highest seed; {lines}dashed: 90 %. Below: mean rate of {' or '.join(names)}.",
+        f"Evaluations during training. Above: mean success over seeds ({_count_seeds(n_seeds)}) "
+        "between the "
+        f"lowest and the highest seed; {lines}dashed: 90 %. Below: mean rate of "
+        f"{' or '.join(names)}.",
     )
 
 
-def _draw_curve(success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds: bool) -> None:
+def _draw_curve(
+    success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds: bool
+) -> None:
     style = cell_style(cell.id)
     if with_seeds:
         for _, seed_step, rates in curve.seeds:
-            success.plot(seed_step, percentages(rates), color=style.colour, linewidth=0.5, alpha=0.3)
+            success.plot(
+                seed_step, percentages(rates), color=style.colour, linewidth=0.5, alpha=0.3
+            )
     low, high = (np.clip(percentages(bound), 0, 100) for bound in (curve.low, curve.high))
     success.fill_between(curve.step, low, high, color=style.colour, alpha=0.13, linewidth=0)
     line = {"color": style.colour, "linestyle": style.line, "marker": style.marker}
@@ -111,7 +143,10 @@ def _new_figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
     labels = wrapped_labels(cells, 32, lines=8)
     figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
     styles = [cell_style(cell.id) for cell in cells]
-    lines = [Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker) for look in styles]
+    lines = [
+        Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker)
+        for look in styles
+    ]
     figure.legend(lines, labels, loc="outside right upper")
     return figure
 
@@ -130,8 +165,10 @@ def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
     n_seeds = [cell.survival.n for cell in cells if cell.survival]
     yield (
         figure,
-        "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier estimate; "  # noqa: RUF001
-        f"{_count_seeds(n_seeds)}), with 95 % intervals where some have. Crosses (+): seeds not there when their "
+        "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier "  # noqa: RUF001
+        "estimate; "
+        f"{_count_seeds(n_seeds)}), with 95 % intervals where some have. Crosses (+): seeds not "
+        "there when their "
         "observation ended.",
     )
 
@@ -139,11 +176,19 @@ def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
 def _draw_survival(axes: Axes, cell: Cell) -> None:
     style, curve = cell_style(cell.id), cell.survival
     assert curve
-    censored = [seed.steps_to_90 for seed in cell.seeds if seed.steps_to_90 is not None and not seed.reached_90]
+    censored = [
+        seed.steps_to_90
+        for seed in cell.seeds
+        if seed.steps_to_90 is not None and not seed.reached_90
+    ]
     time = [0.0, *curve.times, max([*curve.times, *censored])]
-    share, low, high = (percentages([0.0, *values, values[-1]]) for values in (curve.reached, curve.low, curve.high))
+    share, low, high = (
+        percentages([0.0, *values, values[-1]]) for values in (curve.reached, curve.low, curve.high)
+    )
     if curve.k:
         axes.fill_between(time, low, high, step="post", color=style.colour, alpha=0.07, linewidth=0)
-    axes.step(time, share, where="post", color=style.colour, linestyle=style.line, marker=style.marker)
+    axes.step(
+        time, share, where="post", color=style.colour, linestyle=style.line, marker=style.marker
+    )
     at = np.searchsorted(curve.times, censored)
     axes.plot(censored, share[at + 1], linestyle="", marker="+", markersize=6, color=style.colour)

@@ -1,7 +1,8 @@
-"""Tables of a report as LaTeX: no wider than the text of an `article`; long ones go over several pages.
+"""Tables of a report as LaTeX: no wider than the text of an `article`; long ones go over several
+pages.
 
-A document needs `\\usepackage{array,booktabs,longtable}`. Widths are in em of the font `\\small`, of which a line of an
-article has 35.6 to 37.3.
+A document needs `\\usepackage{array,booktabs,longtable}`. Widths are in em of the font `\\small`,
+of which a line of an article has 35.6 to 37.3.
 """
 
 import math
@@ -17,7 +18,9 @@ GAP_EM = 0.8  # between two columns
 SLACK_EM = 0.3  # of each column: widths of texts are estimated
 MAX_LINES = 24  # of a table on one page, estimated: words leave lines half empty
 BREAK, NO_BREAK = "\u200b", "\u00a0"
-BREAKABLE = re.compile(r"([_=/,:]|[.-](?=\D)|[^\W_]{12})(?=\S)")  # after it, a line of a long name may end
+BREAKABLE = re.compile(
+    r"([_=/,:]|[.-](?=\D)|[^\W_]{12})(?=\S)"
+)  # after it, a line of a long name may end
 INSIDE_INTERVAL = re.compile(r", (?=[^\[\]]*\])")
 SPECIAL = {
     **{character: f"\\{character}" for character in "%#_&${}"},
@@ -56,7 +59,9 @@ class LatexColumn:
 
 
 def to_latex(table: Table) -> str:
-    """Return a table with the columns for a paper, in several parts if these do not fit beside each other."""
+    """Return a table with the columns for a paper, in several parts if these do not fit beside each
+    other.
+    """
     paper = replace(table, columns=[column for column in table.columns if column.paper])
     kept = without_constants(paper).columns
     constant = [column for column in paper.columns if column not in kept]
@@ -105,7 +110,9 @@ def _split(columns: Sequence[LatexColumn]) -> list[list[LatexColumn]]:
     first, *others = columns
     parts = [[first]]
     for column in others:
-        enough = sum(other.narrowest for other in parts[-1]) + column.narrowest + GAP_EM * len(parts[-1])
+        enough = (
+            sum(other.narrowest for other in parts[-1]) + column.narrowest + GAP_EM * len(parts[-1])
+        )
         if enough > LINE_EM and len(parts[-1]) > 1:
             parts.append([first])
         parts[-1].append(column)
@@ -113,13 +120,17 @@ def _split(columns: Sequence[LatexColumn]) -> list[list[LatexColumn]]:
 
 
 def _allot(columns: Sequence[LatexColumn]) -> list[float]:
-    """Return the width of each column: one line for every text or, where that is too wide, more for words only."""
+    """Return the width of each column: one line for every text or, where that is too wide, more for
+    words only.
+    """
     line = LINE_EM - GAP_EM * (len(columns) - 1)
     widest = [column.widest for column in columns]
     if sum(widest) <= line:
         return widest
     spare = line - sum(column.narrowest for column in columns)
-    wanted = sum(column.widest - column.narrowest for column in columns if not column.column.numeric)
+    wanted = sum(
+        column.widest - column.narrowest for column in columns if not column.column.numeric
+    )
     share = min(1.0, max(0.0, spare) / wanted) if wanted else 0.0
     widths = []
     for column in columns:
@@ -140,13 +151,36 @@ def _write_part(columns: Sequence[LatexColumn], heading: str) -> list[str]:
     body = [_write_row(row) for row in rows]
     n_lines = 0
     for row in rows:
-        n_lines += max(math.ceil(_width(text) / width) for text, width in zip(row, widths, strict=True))
+        n_lines += max(
+            math.ceil(_width(text) / width) for text, width in zip(row, widths, strict=True)
+        )
     gap = rf"\setlength{{\tabcolsep}}{{{GAP_EM / 2}em}}"
     if n_lines <= MAX_LINES:
-        begin = [r"\begin{table}", r"\centering", r"\small", gap, heading, rf"\begin{{tabular}}{{@{{}}{layout}@{{}}}}"]
+        begin = [
+            r"\begin{table}",
+            r"\centering",
+            r"\small",
+            gap,
+            heading,
+            rf"\begin{{tabular}}{{@{{}}{layout}@{{}}}}",
+        ]
         return [*begin, *heads, *body, r"\bottomrule", r"\end{tabular}", r"\end{table}"]
-    begin = [r"\begingroup", r"\centering", r"\small", gap, rf"\begin{{longtable}}{{@{{}}{layout}@{{}}}}"]
-    heads = [rf"{heading}\\", *heads, r"\endfirsthead", *heads, r"\endhead", r"\bottomrule", r"\endfoot"]
+    begin = [
+        r"\begingroup",
+        r"\centering",
+        r"\small",
+        gap,
+        rf"\begin{{longtable}}{{@{{}}{layout}@{{}}}}",
+    ]
+    heads = [
+        rf"{heading}\\",
+        *heads,
+        r"\endfirsthead",
+        *heads,
+        r"\endhead",
+        r"\bottomrule",
+        r"\endfoot",
+    ]
     return [*begin, *heads, *body, r"\end{longtable}", r"\endgroup"]
 
 

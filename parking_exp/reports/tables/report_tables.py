@@ -1,4 +1,6 @@
-"""The tables of a report. Each function yields what it has; columns of rows are those of `tables/*.csv`."""
+"""The tables of a report. Each function yields what it has; columns of rows are those of
+`tables/*.csv`.
+"""
 
 from collections.abc import Iterator
 from functools import partial
@@ -32,14 +34,25 @@ def headline(report: ReportData) -> Iterator[Table]:
             cell_column(),
             Column("Seeds", _count_finished, "seeds", given=True),
             column("Env steps", "total_timesteps", formats.number, given=True),
-            *(interval_column(REPORTED[name].heading, name, paper=name != "timeout") for name in _select_rates(report)),
+            *(
+                interval_column(REPORTED[name].heading, name, paper=name != "timeout")
+                for name in _select_rates(report)
+            ),
             column("Lowest", "lowest", formats.percent, note="success of the worst seed"),
-            column("IQM", "iqm", formats.percent, note="interquartile mean of success over seeds", paper=False),
+            column(
+                "IQM",
+                "iqm",
+                formats.percent,
+                note="interquartile mean of success over seeds",
+                paper=False,
+            ),
             Column(
                 "Seeds ≥ 95 %",
                 _count_reaching_95,
                 "reaching_95_k",
-                note="how many seeds ended at 95 % or above, with the exact interval of their share",
+                note=(
+                    "how many seeds ended at 95 % or above, with the exact interval of their share"
+                ),
                 paper=False,
             ),
             column(
@@ -48,7 +61,12 @@ def headline(report: ReportData) -> Iterator[Table]:
                 formats.number,
                 note="median of the env steps until 90 % were held for three evaluations",
             ),
-            column(REPORTED["episode_steps"].heading, "episode_steps", partial(formats.number, digits=1), paper=False),
+            column(
+                REPORTED["episode_steps"].heading,
+                "episode_steps",
+                partial(formats.number, digits=1),
+                paper=False,
+            ),
             column("CPU (s)", "cpu_s", formats.number),
             *(
                 column(REPORTED[name].heading, name, partial(formats.number, digits=2), paper=False)
@@ -73,7 +91,8 @@ def times(report: ReportData) -> Iterator[Table]:
             column("Median (CPU-s)", "median_cpu_s", formats.number),
             interval_column("AUC (%)", "area"),
         ],
-        "Time until three evaluations in a row have 90 %, with medians where half of the seeds reached it; area under "
+        "Time until three evaluations in a row have 90 %, with medians where half of the seeds "
+        "reached it; area under "
         f"the learning curve in % of the highest possible, means {PERCENT}.",
     )
 
@@ -100,13 +119,17 @@ def seeds(report: ReportData) -> Iterator[Table]:
             cell_column(),
             column("Seed", "seed"),
             interval_column(REPORTED["success"].heading, "success"),
-            *(column(REPORTED[name].heading, name, formats.percent) for name in _select_rates(report)[1:]),
+            *(
+                column(REPORTED[name].heading, name, formats.percent)
+                for name in _select_rates(report)[1:]
+            ),
             column("Episodes", "n_episodes", formats.number, given=True),
             Column("Steps to 90 %", reached, "steps_to_90"),
             column("CPU (s)", "cpu_s", formats.number),
             column("Run", "run_id", numeric=False),
         ],
-        "Finished runs: final rates over the evaluation episodes, with Wilson's 95 % interval in brackets.",
+        "Finished runs: final rates over the evaluation episodes, with Wilson's 95 % interval in "
+        "brackets.",
         folded=True,
     )
 
@@ -118,15 +141,22 @@ def curves(report: ReportData) -> Iterator[Table]:
         {**cell_record(cell), **dict(zip(names, point, strict=True))}
         for cell in report.cells
         if (curve := cell.curve)
-        for point in zip(curve.step, curve.n, curve.mean, curve.low, curve.high, curve.failure, strict=True)
+        for point in zip(
+            curve.step, curve.n, curve.mean, curve.low, curve.high, curve.failure, strict=True
+        )
     ]
     yield Table("curves", rows)
 
 
 def survival(report: ReportData) -> Iterator[Table]:
-    """Yield the CSV of Kaplan and Meier's estimate of the env steps to 90 %; `seeds` has which are censored."""
+    """Yield the CSV of Kaplan and Meier's estimate of the env steps to 90 %; `seeds` has which are
+    censored.
+    """
     rows = [
-        {**cell_record(cell), **dict(zip(("step", "reached", "reached_low", "reached_high"), point, strict=True))}
+        {
+            **cell_record(cell),
+            **dict(zip(("step", "reached", "reached_low", "reached_high"), point, strict=True)),
+        }
         for cell in report.cells
         if (curve := cell.survival)
         for point in zip(curve.times, curve.reached, curve.low, curve.high, strict=True)
@@ -137,7 +167,10 @@ def survival(report: ReportData) -> Iterator[Table]:
 def pairs(report: ReportData) -> Iterator[Table]:
     """Yield the table of the pairs of cells that were compared."""
     labels = {cell.id: cell.label for cell in report.cells}
-    rows = [{"a_label": labels[pair.a], "b_label": labels[pair.b], **record(pair)} for pair in report.pairs]
+    rows = [
+        {"a_label": labels[pair.a], "b_label": labels[pair.b], **record(pair)}
+        for pair in report.pairs
+    ]
     yield Table(
         "pairs",
         rows,
@@ -160,9 +193,16 @@ def pairs(report: ReportData) -> Iterator[Table]:
                 paper=False,
             ),
             column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability, paper=False),
-            column("In words", "verdict", lambda verdict: formats.VERDICTS[verdict].table, numeric=False, paper=False),
+            column(
+                "In words",
+                "verdict",
+                lambda verdict: formats.VERDICTS[verdict].table,
+                numeric=False,
+                paper=False,
+            ),
         ],
-        "Pairs of cells: difference of mean final success in percentage points, with simultaneous 95 % intervals.",
+        "Pairs of cells: difference of mean final success in percentage points, with simultaneous "
+        "95 % intervals.",
         latex=True,
         folded=not report.drawn_pairs,
     )
@@ -174,7 +214,14 @@ def factors(report: ReportData) -> Iterator[Table]:
     rows = []
     for effect in report.effects_by_size:
         high, low = effect.extremes
-        rows.append({**record(effect), "name": names[effect.factor], "highest": high.level, "lowest": low.level})
+        rows.append(
+            {
+                **record(effect),
+                "name": names[effect.factor],
+                "highest": high.level,
+                "lowest": low.level,
+            }
+        )
     yield Table(
         "factors",
         rows,
@@ -185,7 +232,8 @@ def factors(report: ReportData) -> Iterator[Table]:
             interval_column("Highest − lowest (points)", "largest", formats.difference_interval),  # noqa: RUF001
             column("p (Bonferroni)", "p", formats.probability),
         ],
-        "Factors: the levels with the highest and the lowest mean over the other factors, and their difference in "
+        "Factors: the levels with the highest and the lowest mean over the other factors, and "
+        "their difference in "
         "percentage points, with 95 % intervals." + _warn_of_missing_combinations(report),
         latex=True,
     )
@@ -195,15 +243,19 @@ def effects(report: ReportData) -> Iterator[Table]:
     """Yield the table of each factor's levels."""
     yield Table(
         "effects",
-        [{**record(effect), **record(level)} for effect in report.effects for level in effect.levels],
+        [
+            {**record(effect), **record(level)}
+            for effect in report.effects
+            for level in effect.levels
+        ],
         [
             column("Factor", "factor", numeric=False),
             column("Level", "level", formats.setting, numeric=False),
             interval_column("Success (%)", "effect"),
             column("Cells", "cells", formats.number),
         ],
-        f"Main effects: mean final success at each level over the levels of the other factors, {PERCENT}."
-        + _warn_of_missing_combinations(report),
+        "Main effects: mean final success at each level over the levels of the other factors, "
+        f"{PERCENT}." + _warn_of_missing_combinations(report),
         latex=True,
     )
 
@@ -214,11 +266,16 @@ def _warn_of_missing_combinations(report: ReportData) -> str:
 
 
 def config(report: ReportData) -> Iterator[Table]:
-    """Yield the settings that differ between cells: a row for each cell or, if these are fewer, for each setting."""
+    """Yield the settings that differ between cells: a row for each cell or, if these are fewer, for
+    each setting.
+    """
     difference, cells = report.provenance.difference, report.cells
     if len(difference) > len(cells):
         names = {cell.id: cell.label for cell in cells}
-        rows = [{"setting": key, **dict(zip(names, values, strict=True))} for key, values in difference.items()]
+        rows = [
+            {"setting": key, **dict(zip(names, values, strict=True))}
+            for key, values in difference.items()
+        ]
         first = column("Setting", "setting", numeric=False)
     else:
         names = {key: key for key in difference}
@@ -228,7 +285,10 @@ def config(report: ReportData) -> Iterator[Table]:
             if difference
         ]
         first = cell_column()
-    columns = [first, *(column(name, key, formats.setting, numeric=False) for key, name in names.items())]
+    columns = [
+        first,
+        *(column(name, key, formats.setting, numeric=False) for key, name in names.items()),
+    ]
     yield Table("config", rows, columns, "Settings that are not the same in all cells.", latex=True)
 
 
@@ -237,7 +297,9 @@ def versions(report: ReportData) -> Iterator[Table]:
     origin = report.provenance
     counted = {**origin.versions, "commit": origin.commits, "machine": origin.machines}
     rows = [
-        {"what": what, "version": name, "runs": n} for what, counts in counted.items() for name, n in counts.items()
+        {"what": what, "version": name, "runs": n}
+        for what, counts in counted.items()
+        for name, n in counts.items()
     ]
     columns = [
         column("What", "what", numeric=False),
@@ -262,7 +324,10 @@ def unfinished(report: ReportData) -> Iterator[Table]:
 def common(report: ReportData) -> Iterator[Table]:
     """Yield the table of the settings that are the same in all cells."""
     rows = [{"key": key, "value": value} for key, value in report.provenance.common.items()]
-    columns = [column("Setting", "key", numeric=False), column("Value", "value", formats.setting, numeric=False)]
+    columns = [
+        column("Setting", "key", numeric=False),
+        column("Value", "value", formats.setting, numeric=False),
+    ]
     yield Table("common", rows, columns, "Settings that are the same in all cells.", folded=True)
 
 
@@ -281,13 +346,22 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
 
 def _select_rates(report: ReportData) -> list[str]:
     """Return the names of the rates that some cell has."""
-    return [name for name in RATES if name not in FURTHER or any(name in cell.further for cell in report.cells)]
+    return [
+        name
+        for name in RATES
+        if name not in FURTHER or any(name in cell.further for cell in report.cells)
+    ]
 
 
 def _count_finished(row: Row) -> str:
-    done, total = row["seeds"], sum(count or 0 for key, count in row.items() if key.startswith("runs_"))
+    done, total = (
+        row["seeds"],
+        sum(count or 0 for key, count in row.items() if key.startswith("runs_")),
+    )
     return str(done) if done == total else f"{done} of {total}"
 
 
 def _count_reaching_95(row: Row) -> str:
-    return formats.share_interval(Proportion(*(row[f"reaching_95_{name}"] for name in ("k", "n", "low", "high"))))
+    return formats.share_interval(
+        Proportion(*(row[f"reaching_95_{name}"] for name in ("k", "n", "low", "high")))
+    )

@@ -23,7 +23,8 @@ class Column(NamedTuple):
         key: of the value in a row by which the page sorts; None: it sorts by what is shown.
         numeric: whether it shows numbers.
         cell: key of the id of the cell that it names.
-        given: whether it is a condition, not a result: the caption has it where it is the same in every row.
+        given: whether it is a condition, not a result: the caption has it where it is the same in
+            every row.
         note: what the caption says of it, without a full stop.
         paper: whether LaTeX has it, too.
     """
@@ -44,7 +45,9 @@ class Table:
 
     name: str  # of its files; unique
     rows: Sequence[Row]  # all values
-    columns: Sequence[Column] = ()  # what people read, see `without_constants`; none: the table is for CSV alone
+    columns: Sequence[
+        Column
+    ] = ()  # what people read, see `without_constants`; none: the table is for CSV alone
     caption: str = ""
     latex: bool = False  # whether it is written as LaTeX, too
     folded: bool = False  # whether the page folds it away
@@ -65,7 +68,9 @@ def without_constants(table: Table) -> Table:
         texts = {column.write(row) for row in table.rows}
         if len(table.rows) > 1 and len(texts) == 1 and (column.given or texts == {""}):
             constants[column] = clean(texts.pop()) or "not known"
-    sentences = "".join(f" {column.title} in every row: {text}." for column, text in constants.items())
+    sentences = "".join(
+        f" {column.title} in every row: {text}." for column, text in constants.items()
+    )
     columns = [column for column in table.columns if column not in constants]
     notes = [column.note for column in columns if column.note]
     caption = "; ".join([table.caption.removesuffix("."), *notes])
@@ -75,7 +80,8 @@ def without_constants(table: Table) -> Table:
 def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
     """Return the fields of a dataclass as columns of a row, lists left out.
 
-    An interval becomes NAME, NAME_low and NAME_high; another dataclass one column for each field, NAME_FIELD.
+    An interval becomes NAME, NAME_low and NAME_high; another dataclass one column for each field,
+    NAME_FIELD.
     """
     row: dict[str, Any] = {}
     for name, value in {**vars(item), **vars(item).get("further", {})}.items():
@@ -109,7 +115,9 @@ def column(
     paper: bool = True,
 ) -> Column:
     """Return a column of one value of each row, written by e.g. `formats.percent`."""
-    return Column(title, lambda row: write(row.get(key)), key, numeric, given=given, note=note, paper=paper)
+    return Column(
+        title, lambda row: write(row.get(key)), key, numeric, given=given, note=note, paper=paper
+    )
 
 
 def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
@@ -118,12 +126,18 @@ def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -
 
 
 def interval_column(
-    title: str, key: str, write: Callable[[Interval], str] = formats.percent_interval, *, paper: bool = True
+    title: str,
+    key: str,
+    write: Callable[[Interval], str] = formats.percent_interval,
+    *,
+    paper: bool = True,
 ) -> Column:
     """Return a column of a number with its interval, by default a rate in per cent."""
 
     def text(row: Row) -> str:
-        value, low, high = (finite_or_none(row.get(name)) for name in (key, f"{key}_low", f"{key}_high"))
+        value, low, high = (
+            finite_or_none(row.get(name)) for name in (key, f"{key}_low", f"{key}_high")
+        )
         return write(Interval(value, low, high))
 
     return Column(title, text, key, paper=paper)

@@ -1,1 +1,3 @@
-"""parking-v0 and its variants: highway-env's own, and a vectorized simulator that gives the same episodes."""
+"""parking-v0 and its variants: highway-env's own, and a vectorized simulator that gives the same
+episodes.
+"""

@@ -17,16 +17,18 @@ X_SCALE, Y_SCALE = map(float, DEFAULT_SCALES[:2])  # metres per unit of the obse
 class EgoFrameExtractor(TaskFeatures):
     """Goal, speed and pose as the car sees them, from parking-v0's Dict observation.
 
-    In the raw observation a slot's tolerance is about 1 % of the input's range; in the car's own frame, and in
-    units of 10 m, the policy can see it. The features are computed inside the policy, from `observation` and
-    `desired_goal`, so goals that HER relabels pass through them like any other.
+    In the raw observation a slot's tolerance is about 1 % of the input's range; in the car's own
+    frame, and in units of 10 m, the policy can see it. The features are computed inside the policy,
+    from `observation` and `desired_goal`, so goals that HER relabels pass through them like any
+    other.
 
     Other vehicles that the observation shows come last, each in the car's frame, too.
 
-    Output, shape (batch, 10 + 5 K) for K other vehicles: goal ahead and to the side (10 m), cos and sin of the goal's
-    heading relative to the car's, signed speed (observation units), distance to the goal (10 m), x and y in the lot
-    (half its length and width), cos and sin of the heading; of each vehicle presence, ahead and to the side (10 m), cos
-    and sin of its heading relative to the car's.
+    Output, shape (batch, 10 + 5 K) for K other vehicles: goal ahead and to the side (10 m), cos and
+    sin of the goal's heading relative to the car's, signed speed (observation units), distance to
+    the goal (10 m), x and y in the lot (half its length and width), cos and sin of the heading; of
+    each vehicle presence, ahead and to the side (10 m), cos and sin of its heading relative to the
+    car's.
     """
 
     of_each_vehicle = 5  # features
@@ -34,19 +36,29 @@ class EgoFrameExtractor(TaskFeatures):
     def __init__(self, observation_space: spaces.Dict, features_dim: int = 10) -> None:
         size = spaces.flatdim(observation_space["observation"]) - len(DEFAULT_FEATURES)
         self.vehicles_count = size // len(ENTRIES)
-        super().__init__(observation_space, features_dim + self.vehicles_count * self.of_each_vehicle)
+        super().__init__(
+            observation_space, features_dim + self.vehicles_count * self.of_each_vehicle
+        )
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and goals of 6."""
+        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and
+        goals of 6.
+        """
         features = self.of_car(observations)
         if not self.vehicles_count:
             return features
         return torch.cat((features, self.of_vehicles(observations, features).flatten(1)), dim=-1)
 
-    def of_vehicles(self, observations: dict[str, torch.Tensor], of_car: torch.Tensor) -> torch.Tensor:
-        """Return the features of the vehicles, shape (batch, K, features of each); they are 0 where there is none."""
+    def of_vehicles(
+        self, observations: dict[str, torch.Tensor], of_car: torch.Tensor
+    ) -> torch.Tensor:
+        """Return the features of the vehicles, shape (batch, K, features of each); they are 0 where
+        there is none.
+        """
         observation = observations["observation"]
-        seen = observation[:, len(DEFAULT_FEATURES) :].unflatten(-1, (self.vehicles_count, len(ENTRIES)))
+        seen = observation[:, len(DEFAULT_FEATURES) :].unflatten(
+            -1, (self.vehicles_count, len(ENTRIES))
+        )
         cos_h, sin_h = observation[:, 4:5], observation[:, 5:6]
         presence, x, y, cos, sin = seen.unbind(-1)
         dx, dy = x * (X_SCALE / GOAL_SCALE_M), y * (Y_SCALE / GOAL_SCALE_M)
@@ -63,7 +75,9 @@ class EgoFrameExtractor(TaskFeatures):
 
     def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return the features of car and goal, shape (batch, 10)."""
-        x, y, vx, vy, cos_h, sin_h = observations["observation"][:, : len(DEFAULT_FEATURES)].unbind(-1)
+        x, y, vx, vy, cos_h, sin_h = observations["observation"][:, : len(DEFAULT_FEATURES)].unbind(
+            -1
+        )
         goal_x, goal_y, _, _, goal_cos, goal_sin = observations["desired_goal"].unbind(-1)
         dx, dy = (goal_x - x) * X_SCALE, (goal_y - y) * Y_SCALE
         return torch.stack(
@@ -84,47 +98,62 @@ class EgoFrameExtractor(TaskFeatures):
 
 
 class FineEgoFrameExtractor(EgoFrameExtractor):
-    """Ego-frame features, the car in the goal's frame, both also at the scale of a slot, in a lot turned to the goal.
+    """Ego-frame features, the car in the goal's frame, both also at the scale of a slot, in a lot
+    turned to the goal.
 
-    The lot is symmetric under a turn by 180 degrees, so pose and heading are turned where the goal's y is negative,
-    which halves the state space and changes no action. Positions and reward also come at the scale of a slot, since the
-    reward has a cusp at the goal. The goal's frame shows whether the car is in line with the slot, and which of the
-    neighbouring slots are taken.
+    The lot is symmetric under a turn by 180 degrees, so pose and heading are turned where the
+    goal's y is negative, which halves the state space and changes no action. Positions and reward
+    also come at the scale of a slot, since the reward has a cusp at the goal. The goal's frame
+    shows whether the car is in line with the slot, and which of the neighbouring slots are taken.
 
-    Output, shape (batch, 19 + 9 K), or (batch, 20 + 9 K) if `reward_weights` weigh velocity: the features of
-    `EgoFrameExtractor` but for the vehicles; the car's position along and across the goal's heading, seen from the goal
-    (10 m), and its velocity in these directions (observation units); the goal ahead and to the side, and the car along
-    and across, as tanh of their distance / 2 m; the root of the weighted distance, which is minus the dense reward; the
-    goal's signed speed (observation units); of each vehicle those of `EgoFrameExtractor`, ahead and to the side as tanh
-    of the distance / 4 m, and along and across the goal's heading, seen from the goal, as tanh of the distance / 4 m.
+    Output, shape (batch, 19 + 9 K), or (batch, 20 + 9 K) if `reward_weights` weigh velocity: the
+    features of `EgoFrameExtractor` but for the vehicles; the car's position along and across the
+    goal's heading, seen from the goal (10 m), and its velocity in these directions (observation
+    units); the goal ahead and to the side, and the car along and across, as tanh of their distance
+    / 2 m; the root of the weighted distance, which is minus the dense reward; the goal's signed
+    speed (observation units); of each vehicle those of `EgoFrameExtractor`, ahead and to the side
+    as tanh of the distance / 4 m, and along and across the goal's heading, seen from the goal, as
+    tanh of the distance / 4 m.
     """
 
     of_each_vehicle = 9
 
     def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
         weights = [float(weight) for weight in reward_weights]
-        # Virtual goals may move, real ones never do: networks see the difference only if the reward depends on it.
+        # Virtual goals may move, real ones never do: networks see the difference only if the reward
+        # depends on it.
         moving_goals = any(weights[2:4])
         super().__init__(observation_space, 20 if moving_goals else 19)
         self.reward_weights, self.moving_goals = weights, moving_goals
 
-    def of_vehicles(self, observations: dict[str, torch.Tensor], of_car: torch.Tensor) -> torch.Tensor:
-        """Return the features of the vehicles, shape (batch, K, 9); they are 0 where there is none."""
+    def of_vehicles(
+        self, observations: dict[str, torch.Tensor], of_car: torch.Tensor
+    ) -> torch.Tensor:
+        """Return the features of the vehicles, shape (batch, K, 9); they are 0 where there is
+        none.
+        """
         vehicles = super().of_vehicles(observations, of_car)
         presence, ahead, left = vehicles[..., :3].unbind(-1)
         goal_ahead, goal_left, cos, sin = of_car[:, :4].split(1, dim=-1)
         dx, dy = ahead - goal_ahead, left - goal_left
         near = torch.stack((ahead, left, cos * dx + sin * dy, cos * dy - sin * dx), dim=-1)
-        return torch.cat((vehicles, torch.tanh(near * (GOAL_SCALE_M / VEHICLE_M)) * presence[..., None]), dim=-1)
+        return torch.cat(
+            (vehicles, torch.tanh(near * (GOAL_SCALE_M / VEHICLE_M)) * presence[..., None]), dim=-1
+        )
 
     def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return the features of car and goal, shape (batch, 19 or 20)."""
         features = super().of_car(observations)
-        observation, goal = observations["observation"][:, : len(DEFAULT_FEATURES)], observations["desired_goal"]
+        observation, goal = (
+            observations["observation"][:, : len(DEFAULT_FEATURES)],
+            observations["desired_goal"],
+        )
         side = torch.where(goal[:, 1:2] < 0, -1.0, 1.0).to(features)
         ahead, left, cos, sin, speed = features[:, :5].split(1, dim=-1)
         from_goal = torch.cat((-cos * ahead - sin * left, sin * ahead - cos * left), dim=-1)
-        distance = torch.sqrt((observation - goal).abs() @ features.new_tensor(self.reward_weights)[:, None])
+        distance = torch.sqrt(
+            (observation - goal).abs() @ features.new_tensor(self.reward_weights)[:, None]
+        )
         parts = [
             features[:, :6],
             features[:, 6:] * side,
@@ -142,32 +171,49 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
 class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     """Fine ego-frame features, mirrored so that the goal is never to the right of the car.
 
-    A mirrored lot is the same but for the sign of the steering. Networks then learn one of two mirror images; the
-    policies in `mirrored_policies` turn the steering around with them.
+    A mirrored lot is the same but for the sign of the steering. Networks then learn one of two
+    mirror images; the policies in `mirrored_policies` turn the steering around with them.
 
-    Output: that of `FineEgoFrameExtractor`; if the goal is to the right, all lateral features have the other sign.
+    Output: that of `FineEgoFrameExtractor`; if the goal is to the right, all lateral features have
+    the other sign.
     """
 
     ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
     ACROSS_OF_VEHICLE = (2, 4, 6, 8)  # of each vehicle
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and goals of 6."""
+        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and
+        goals of 6.
+        """
         features = super().forward(observations)
         signs = features.new_ones(self.features_dim)
-        vehicles = range(self.features_dim - self.vehicles_count * self.of_each_vehicle, self.features_dim)
-        across = [first + lateral for first in vehicles[:: self.of_each_vehicle] for lateral in self.ACROSS_OF_VEHICLE]
+        vehicles = range(
+            self.features_dim - self.vehicles_count * self.of_each_vehicle, self.features_dim
+        )
+        across = [
+            first + lateral
+            for first in vehicles[:: self.of_each_vehicle]
+            for lateral in self.ACROSS_OF_VEHICLE
+        ]
         signs[[*self.ACROSS, *across]] = -1.0
         return torch.where(self.sign(observations) < 0, features * signs, features)
 
     def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return -1 where the scene is mirrored, else 1; shape (batch, 1)."""
-        # In single precision as in the networks, whatever the buffer holds: one sign for features and actions.
-        observation, goal = observations["observation"].float(), observations["desired_goal"].float()
-        x, y = ((goal[:, :2] - observation[:, :2]) * goal.new_tensor([X_SCALE, Y_SCALE])).split(1, dim=1)
+        # In single precision as in the networks, whatever the buffer holds: one sign for features
+        # and actions.
+        observation, goal = (
+            observations["observation"].float(),
+            observations["desired_goal"].float(),
+        )
+        x, y = ((goal[:, :2] - observation[:, :2]) * goal.new_tensor([X_SCALE, Y_SCALE])).split(
+            1, dim=1
+        )
         left = y * observation[:, 4:5] - x * observation[:, 5:6]
         return torch.where(left < 0, -1.0, 1.0)
 
     def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return actions, shape (batch, actions), with the steering turned around where the scene is mirrored."""
+        """Return actions, shape (batch, actions), with the steering turned around where the scene
+        is mirrored.
+        """
         return torch.cat((actions[:, :-1], actions[:, -1:] * self.sign(observations)), dim=1)

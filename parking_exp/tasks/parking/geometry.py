@@ -9,19 +9,29 @@ LOT_LENGTH_M, LOT_WIDTH_M = 70.0, 42.0  # between the centre lines of the walls
 WALL_THICKNESS_M = 1.0
 
 SLOTS_PER_ROW = 14
-_ROW_X = np.array([(k + 1 - SLOTS_PER_ROW // 2) * SLOT_WIDTH_M - SLOT_WIDTH_M / 2 for k in range(SLOTS_PER_ROW)])
+_ROW_X = np.array(
+    [(k + 1 - SLOTS_PER_ROW // 2) * SLOT_WIDTH_M - SLOT_WIDTH_M / 2 for k in range(SLOTS_PER_ROW)]
+)
 _ROW_Y = 14.0
 
 # In highway-env's order: the row above from left to right, then the row below.
 SLOT_POSITIONS = np.stack(
     [np.concatenate([_ROW_X, _ROW_X]), np.repeat([_ROW_Y, -_ROW_Y], SLOTS_PER_ROW)], axis=-1
 )  # (28, 2) centres [m]
-SLOT_HEADINGS = np.repeat(np.arctan2([SLOT_LENGTH_M, -SLOT_LENGTH_M], [0.0, 0.0]), SLOTS_PER_ROW)  # (28,) [rad]
+SLOT_HEADINGS = np.repeat(
+    np.arctan2([SLOT_LENGTH_M, -SLOT_LENGTH_M], [0.0, 0.0]), SLOTS_PER_ROW
+)  # (28,) [rad]
 N_SLOTS = len(SLOT_HEADINGS)
 
-# In highway-env's order: below, above, left, right. Each is a rectangle: centre, heading, length; one metre thick.
+# In highway-env's order: below, above, left, right. Each is a rectangle: centre, heading, length;
+# one metre thick.
 WALL_POSITIONS = np.array(
-    [[0.0, -LOT_WIDTH_M / 2], [0.0, LOT_WIDTH_M / 2], [-LOT_LENGTH_M / 2, 0.0], [LOT_LENGTH_M / 2, 0.0]]
+    [
+        [0.0, -LOT_WIDTH_M / 2],
+        [0.0, LOT_WIDTH_M / 2],
+        [-LOT_LENGTH_M / 2, 0.0],
+        [LOT_LENGTH_M / 2, 0.0],
+    ]
 )
 WALL_HEADINGS = np.array([0.0, 0.0, np.pi / 2, np.pi / 2])
 WALL_LENGTHS = np.array([LOT_LENGTH_M, LOT_LENGTH_M, LOT_WIDTH_M, LOT_WIDTH_M])

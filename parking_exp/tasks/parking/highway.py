@@ -16,23 +16,34 @@ from parking_exp.tasks.parking.reward import ParkingReward
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
-    """Replace the goal reward by 0 on highway-env's success and -1 otherwise (Andrychowicz et al. 2017, section 4).
+    """Replace the goal reward by 0 on highway-env's success and -1 otherwise (Andrychowicz et al.
+    2017, section 4).
 
     `collision_reward` is still added to the step of a crash.
     """
 
     def __init__(self, env: gym.Env) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)  # so that gymnasium can make the env again from its spec
+        gym.utils.RecordConstructorArgs.__init__(
+            self
+        )  # so that gymnasium can make the env again from its spec
         gym.Wrapper.__init__(self, env)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Step the env."""
         observation, _, terminated, truncated, info = self.env.step(action)
-        reward = float(info["is_success"]) - 1.0 + self.unwrapped.config["collision_reward"] * info["crashed"]
+        reward = (
+            float(info["is_success"])
+            - 1.0
+            + self.unwrapped.config["collision_reward"] * info["crashed"]
+        )
         return observation, reward, terminated, truncated, info
 
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object) -> np.ndarray:
-        """Return 0 where the goal is reached and -1 elsewhere; goals of shape (6,) or (batch, 6)."""
+    def compute_reward(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object
+    ) -> np.ndarray:
+        """Return 0 where the goal is reached and -1 elsewhere; goals of shape (6,) or (batch,
+        6).
+        """
         return self.unwrapped.goal_reward(achieved_goal, desired_goal)[0]
 
 
@@ -42,7 +53,9 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
 
     gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
-    env = gym.make(ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
+    env = gym.make(
+        ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True
+    )
     env.unwrapped.goal_reward = ParkingReward.of(config)
     if config.reward == "sparse":
         env = SparseReward(env)
@@ -57,9 +70,9 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
 def skip_unused_work(env: gym.Env) -> None:
     """Leave out what takes 80 % of highway-env's time and changes no episode, until the next reset.
 
-    Four times a step, highway-env makes two data frames to read the pose of a car and that of its goal. Three times a
-    step, it looks up the lane of each car, which parking does not use. Motion, collisions, rewards and the end of an
-    episode stay highway-env's.
+    Four times a step, highway-env makes two data frames to read the pose of a car and that of its
+    goal. Three times a step, it looks up the lane of each car, which parking does not use. Motion,
+    collisions, rewards and the end of an episode stay highway-env's.
     """
     lot: Any = env.unwrapped
     for sensor in (lot.observation_type, lot.observation_type_parking):
@@ -72,7 +85,11 @@ def _observe(sensor: Any) -> dict[str, np.ndarray]:
     """Return what `KinematicsGoalObservation.observe` returns."""
     car = sensor.observer_vehicle
     pose = _scaled_features(sensor, car)
-    return {"observation": pose, "achieved_goal": pose.copy(), "desired_goal": _scaled_features(sensor, car.goal)}
+    return {
+        "observation": pose,
+        "achieved_goal": pose.copy(),
+        "desired_goal": _scaled_features(sensor, car.goal),
+    }
 
 
 def _scaled_features(sensor: Any, thing: Any) -> np.ndarray:
@@ -92,4 +109,6 @@ class HighwayBatch(EnvBatch):
     def ending(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""
         car = self.envs[row].unwrapped.vehicle
-        return relative_pose(car.position, car.heading, car.speed, car.goal.position, car.goal.heading)
+        return relative_pose(
+            car.position, car.heading, car.speed, car.goal.position, car.goal.heading
+        )

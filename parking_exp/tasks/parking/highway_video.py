@@ -1,4 +1,6 @@
-"""Frames of parking episodes, drawn by highway-env. Rendering is headless: pygame draws on surfaces in memory."""
+"""Frames of parking episodes, drawn by highway-env. Rendering is headless: pygame draws on surfaces
+in memory.
+"""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +19,8 @@ MAX_EPISODE_S = 20.0  # a timeout lasts 100 s, and shows mostly a car that does 
 
 
 def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iterator[np.ndarray]:
-    """Yield one frame for the start of each episode, one for each simulation frame, and one second of its end.
+    """Yield one frame for the start of each episode, one for each simulation frame, and one second
+    of its end.
 
     Episodes are cut after `MAX_EPISODE_S` seconds.
     """
@@ -27,9 +30,12 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
         lot: Any = env.unwrapped
         draw: Callable[[], np.ndarray] = lot.render
         images: list[np.ndarray] = []
-        lot.render = lambda: images.append(draw())  # highway-env calls it between two policy steps, too
+        lot.render = lambda: images.append(
+            draw()
+        )  # highway-env calls it between two policy steps, too
         env.reset()
-        lot.render()  # makes the viewer, whose camera would follow the car: keep the whole lot in sight instead
+        # makes the viewer, whose camera would follow the car: keep the whole lot in sight instead
+        lot.render()
         lot.viewer.window_position = lambda: np.zeros(2)
         for scene in scenes:
             observation, info = env.reset(seed=scene)

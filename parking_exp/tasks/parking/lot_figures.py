@@ -1,4 +1,6 @@
-"""Figures of parking reports: failures by goal slot on the lot from above, and outcomes by number of parked cars."""
+"""Figures of parking reports: failures by goal slot on the lot from above, and outcomes by number
+of parked cars.
+"""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -32,18 +34,23 @@ _SLOTS = SLOT_POSITIONS[:, None] + _CORNERS * (SLOT_WIDTH_M, SLOT_LENGTH_M)  # (
 
 
 def _lots(n: int, columns: int, head: float) -> tuple[Figure, np.ndarray]:
-    """Return a figure of parking lots, and their axes in metres, shape (n,); `head` [in] is the height of titles.
+    """Return a figure of parking lots, and their axes in metres, shape (n,); `head` [in] is the
+    height of titles.
 
     The frame of the axes is the wall.
     """
     rows = -(-n // columns)
-    figure = new_figure(0.4 + rows * (head + (WIDTH_IN - 0.8) / columns * LOT_WIDTH_M / LOT_LENGTH_M))
+    figure = new_figure(
+        0.4 + rows * (head + (WIDTH_IN - 0.8) / columns * LOT_WIDTH_M / LOT_LENGTH_M)
+    )
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in panels.flat[n:]:
         axes.remove()
     for number, axes in enumerate(lots := panels.flat[:n]):
         axes.set(aspect="equal", xticks=(-30, 0, 30), yticks=(-20, 0, 20))
-        axes.set(xlim=(-LOT_LENGTH_M / 2, LOT_LENGTH_M / 2), ylim=(-LOT_WIDTH_M / 2, LOT_WIDTH_M / 2))
+        axes.set(
+            xlim=(-LOT_LENGTH_M / 2, LOT_LENGTH_M / 2), ylim=(-LOT_WIDTH_M / 2, LOT_WIDTH_M / 2)
+        )
         axes.spines[:].set(visible=True, linewidth=1.8, alpha=0.55)
         axes.xaxis.set_visible(number + columns >= n)
         axes.yaxis.set_visible(number % columns == 0)
@@ -72,18 +79,29 @@ def draw_scene_map(cells: Sequence[Any]) -> Iterator[Drawing]:
     figure, lots = _lots(n, columns, head=0.22 + 0.13 * max(label.count("\n") for label in labels))
     highest = max(10.0, 5 * np.ceil(max(np.nanmax(rates) for _, rates in failed) / 5))
     for axes, (_, rates), label in zip(lots, failed, labels, strict=True):
-        slots = _shapes(axes, _SLOTS, array=rates, cmap="Purples", clim=(0, highest), edgecolors=GRID, linewidths=0.4)
+        slots = _shapes(
+            axes,
+            _SLOTS,
+            array=rates,
+            cmap="Purples",
+            clim=(0, highest),
+            edgecolors=GRID,
+            linewidths=0.4,
+        )
         axes.set_title(label)
         if columns < 3:
             for (x, y), rate in zip(SLOT_POSITIONS, rates, strict=True):
                 if np.isfinite(rate):
                     colour = text_colour(slots.to_rgba(rate))
-                    axes.text(x, y, f"{rate:.0f}", ha="center", va="center", color=colour, fontsize=5.2)
+                    axes.text(
+                        x, y, f"{rate:.0f}", ha="center", va="center", color=colour, fontsize=5.2
+                    )
     bar = figure.colorbar(slots, ax=lots, aspect=30, pad=0.02, shrink=min(1.0, 1.4 * columns / n))
     bar.set_label("failed episodes (%)")
     yield (
         figure,
-        "The lot from above: share of episodes with that goal slot that failed (crash or timeout), in %, all seeds "
+        "The lot from above: share of episodes with that goal slot that failed (crash or timeout), "
+        "in %, all seeds "
         "together.",
     )
 
@@ -105,10 +123,22 @@ def draw_vehicle_rates(cells: Sequence[Any]) -> Iterator[Drawing]:
     panels = figure.subplots(1, 2, sharex=True)
     for cell, label in zip(shown, wrapped_labels(shown, 40), strict=True):
         style, rates = cell_style(cell.id), cell.task_data["vehicles"]
-        line = {"color": style.colour, "linestyle": style.line, "marker": style.marker, "label": label}
+        line = {
+            "color": style.colour,
+            "linestyle": style.line,
+            "marker": style.marker,
+            "label": label,
+        }
         for axes, name in zip(panels, ("success", "crash"), strict=True):
-            axes.plot([row["vehicles"] for row in rates], percentages([row[name] for row in rates]), **line)
+            axes.plot(
+                [row["vehicles"] for row in rates],
+                percentages([row[name] for row in rates]),
+                **line,
+            )
             axes.set(xlabel="parked cars", ylabel=f"{name} (%)")
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    yield figure, "Final success and crashes by the number of parked cars of a scene, all seeds together."
+    yield (
+        figure,
+        "Final success and crashes by the number of parked cars of a scene, all seeds together.",
+    )

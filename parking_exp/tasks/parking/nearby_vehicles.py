@@ -1,4 +1,6 @@
-"""Observation of the nearest other vehicles, and Gymnasium wrappers that add it and draw the number of vehicles."""
+"""Observation of the nearest other vehicles, and Gymnasium wrappers that add it and draw the number
+of vehicles.
+"""
 
 from typing import Any
 
@@ -10,12 +12,17 @@ from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_S
 from parking_exp.tasks.parking.scenes import drawn_number
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
-"""Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the axes of the lot."""
+"""Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the
+axes of the lot.
+"""
 FAR_M = 1e6  # vehicles farther away than this count as absent
 
 
-def nearest_vehicles(position: np.ndarray, others: np.ndarray, heading: np.ndarray, count: int) -> np.ndarray:
-    """Return the vehicles nearest to each of n cars, nearest first, shape (n, count * len(ENTRIES)).
+def nearest_vehicles(
+    position: np.ndarray, others: np.ndarray, heading: np.ndarray, count: int
+) -> np.ndarray:
+    """Return the vehicles nearest to each of n cars, nearest first, shape (n, count *
+    len(ENTRIES)).
 
     Where there are fewer than `count`, all entries of the others are 0.
 
@@ -44,9 +51,11 @@ def observation_size(vehicles_count: int) -> int:
 
 
 class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
-    """Append the nearest other vehicles and obstacles to `observation` of parking-v0; goals stay as they are.
+    """Append the nearest other vehicles and obstacles to `observation` of parking-v0; goals stay as
+    they are.
 
-    The observation gets 5 entries more for each vehicle, see `ENTRIES`; x and y are in 100 m, whatever the scales are.
+    The observation gets 5 entries more for each vehicle, see `ENTRIES`; x and y are in 100 m,
+    whatever the scales are.
 
     Args:
         env: highway-env's parking-v0 with the observation type KinematicsGoal, for example
@@ -70,7 +79,11 @@ class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
         car, road = self.unwrapped.vehicle, self.unwrapped.road
         others = [vehicle for vehicle in road.vehicles if vehicle is not car]
         # Walls are obstacles with a length of their own.
-        others += [item for item in road.objects if isinstance(item, Obstacle) and item.LENGTH == Obstacle.LENGTH]
+        others += [
+            item
+            for item in road.objects
+            if isinstance(item, Obstacle) and item.LENGTH == Obstacle.LENGTH
+        ]
         positions = np.array([vehicle.position for vehicle in others]).reshape(1, -1, 2)
         headings = np.array([[vehicle.heading for vehicle in others]])
         seen = nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]
@@ -78,16 +91,22 @@ class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
 
 
 class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
-    """Draw `vehicles_count` of parking-v0 anew at each reset, uniformly from `low` to `high`; see `drawn_number`."""
+    """Draw `vehicles_count` of parking-v0 anew at each reset, uniformly from `low` to `high`; see
+    `drawn_number`.
+    """
 
     def __init__(self, env: gym.Env, low: int, high: int) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, low=low, high=high)
         gym.Wrapper.__init__(self, env)
         self.low, self.high = low, high
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         rng = self.unwrapped.np_random if seed is None else gym.utils.seeding.np_random(seed)[0]
         number = {"vehicles_count": drawn_number(rng.bit_generator, self.low, self.high)}
         options = options or {}
-        return self.env.reset(seed=seed, options={**options, "config": options.get("config", {}) | number})
+        return self.env.reset(
+            seed=seed, options={**options, "config": options.get("config", {}) | number}
+        )

@@ -1,4 +1,6 @@
-"""Obstacles between the rows of slots: highway-env's `Obstacle`, squares of 2 m, at random places."""
+"""Obstacles between the rows of slots: highway-env's `Obstacle`, squares of 2 m, at random
+places.
+"""
 
 from typing import Any
 
@@ -20,7 +22,9 @@ class RandomObstacles(gym.Wrapper, gym.utils.RecordConstructorArgs):
         gym.Wrapper.__init__(self, env)
         self.obstacles = obstacles
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         from highway_env.vehicle.objects import Obstacle
 

@@ -11,7 +11,15 @@ from parking_exp.tasks.task_config import TaskConfig
 ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
-OUR_KEYS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward", "obstacles"}
+OUR_KEYS = {
+    "task",
+    "name",
+    "simulator",
+    "reward",
+    "training_duration",
+    "training_success_goal_reward",
+    "obstacles",
+}
 MAX_VEHICLES = 26  # slots but for those of start and goal
 
 
@@ -19,14 +27,18 @@ def _check_vehicles_count(value: Any) -> Any:
     """Refuse what is neither a number of cars nor a range."""
     low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
     if not (type(low) is type(high) is int and 0 <= low <= high <= MAX_VEHICLES):
-        raise ValueError(f"give a number from 0 to {MAX_VEHICLES}, or the lowest and the highest number: [0, 20]")
+        raise ValueError(
+            f"give a number from 0 to {MAX_VEHICLES}, or the lowest and the highest number: [0, 20]"
+        )
     return value
 
 
 class ObservationConfig(ConfigModel):
     """highway-env's `observation` options, and how many other vehicles are seen."""
 
-    type: Literal["KinematicsGoal"]  # stored, so that highway-env accepts the `env` section of most configs
+    type: Literal[
+        "KinematicsGoal"
+    ]  # stored, so that highway-env accepts the `env` section of most configs
     features: list[str]
     scales: list[PositiveFloat]
     normalize: bool
@@ -52,7 +64,13 @@ class ParkingConfig(TaskConfig):
     simulators: ClassVar[tuple[str, ...]] = ("vectorized", "highway_env")
     agent_keys: ClassVar[tuple[str, ...]] = ("observation",)
     training_keys: ClassVar[tuple[str, ...]] = (
-        *("simulator", "reward", "collision_reward", "training_duration", "training_success_goal_reward"),
+        *(
+            "simulator",
+            "reward",
+            "collision_reward",
+            "training_duration",
+            "training_success_goal_reward",
+        ),
         "observation.vehicles_count",
     )
 
@@ -65,12 +83,16 @@ class ParkingConfig(TaskConfig):
 
     observation: ObservationConfig
     action: ActionConfig
-    reward_weights: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=6, max_length=6)]
+    reward_weights: Annotated[
+        list[Annotated[float, Field(ge=0)]], Field(min_length=6, max_length=6)
+    ]
     success_goal_reward: PositiveFloat
     collision_reward: float
     steering_range: PositiveFloat
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
-    policy_frequency: Annotated[int, Field(ge=1, le=100)]  # episode_steps() counts duration x policy_frequency steps
+    policy_frequency: Annotated[
+        int, Field(ge=1, le=100)
+    ]  # episode_steps() counts duration x policy_frequency steps
     duration: Duration
     vehicles_count: Annotated[Any, AfterValidator(_check_vehicles_count)]
     add_walls: bool
@@ -86,25 +108,42 @@ class ParkingConfig(TaskConfig):
     real_time_rendering: bool
 
     def for_training(self) -> Self:
-        """Return the config of training envs: `training_duration` and `training_success_goal_reward` applied."""
-        values = {"duration": self.training_duration, "success_goal_reward": self.training_success_goal_reward}
-        return self.model_copy(update={key: value for key, value in values.items() if value is not None})
+        """Return the config of training envs: `training_duration` and
+        `training_success_goal_reward` applied.
+        """
+        values = {
+            "duration": self.training_duration,
+            "success_goal_reward": self.training_success_goal_reward,
+        }
+        return self.model_copy(
+            update={key: value for key, value in values.items() if value is not None}
+        )
 
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(ENV_ID, config=...)`."""
-        options = self.model_dump(exclude={**dict.fromkeys(OUR_KEYS, True), "observation": {"vehicles_count"}})
+        options = self.model_dump(
+            exclude={**dict.fromkeys(OUR_KEYS, True), "observation": {"vehicles_count"}}
+        )
         options["vehicles_count"] = self.vehicles_range[1]
-        options["action"] = {key: value for key, value in options["action"].items() if value is not None}
+        options["action"] = {
+            key: value for key, value in options["action"].items() if value is not None
+        }
         return options
 
     @property
     def vehicles_range(self) -> tuple[int, int]:
         """The lowest and the highest number of parked cars of a scene."""
-        low, high = [self.vehicles_count] * 2 if isinstance(self.vehicles_count, int) else self.vehicles_count
+        low, high = (
+            [self.vehicles_count] * 2
+            if isinstance(self.vehicles_count, int)
+            else self.vehicles_count
+        )
         return low, high
 
     def episode_steps(self) -> int:
-        """Return the longest episode in policy steps, counted like highway-env does: by adding floats."""
+        """Return the longest episode in policy steps, counted like highway-env does: by adding
+        floats.
+        """
         time, steps = 0.0, 0
         while time < self.duration:
             time += 1 / self.policy_frequency
@@ -116,7 +155,9 @@ class ParkingConfig(TaskConfig):
         for name, value in (("features", DEFAULT_FEATURES), ("scales", DEFAULT_SCALES)):
             if getattr(self.observation, name) != value:
                 yield f"env.observation.{name} has one legal value: {value}"
-        if (stricter := self.training_success_goal_reward) is not None and stricter > self.success_goal_reward:
+        if (
+            stricter := self.training_success_goal_reward
+        ) is not None and stricter > self.success_goal_reward:
             yield (
                 f"env.training_success_goal_reward={stricter} is above env.success_goal_reward="
                 f"{self.success_goal_reward}: agents would learn to stop short of the goal"

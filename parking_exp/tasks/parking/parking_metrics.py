@@ -1,6 +1,15 @@
 """Metrics of parking episodes: outcomes, strict parking, and the pose of the car at the end."""
 
-from parking_exp.tasks.metrics import FAILURE_COLOUR, RETURN, STEPS, SUCCESS, TIMEOUT, Metric, outcome_rate, rate
+from parking_exp.tasks.metrics import (
+    FAILURE_COLOUR,
+    RETURN,
+    STEPS,
+    SUCCESS,
+    TIMEOUT,
+    Metric,
+    outcome_rate,
+    rate,
+)
 
 METRICS: tuple[Metric, ...] = (
     SUCCESS,
@@ -14,7 +23,8 @@ METRICS: tuple[Metric, ...] = (
     RETURN,
     Metric("distance_m", lambda e: e.end.distance_m, "Distance at the end", "m"),
     Metric(
-        "heading_error_rad", lambda e: abs(e.end.heading_error_rad), "Heading error at the end", "rad"
+        "heading_error_rad", lambda e: abs(e.end.heading_error_rad),
+        "Heading error at the end", "rad"
     ),
     Metric("speed_mps", lambda e: abs(e.end.speed_mps), "Speed at the end", "m/s"),
 )  # fmt: skip

@@ -1,4 +1,6 @@
-"""Report sections of parking: map of the lot, rates of outcomes by goal slot and by number of parked cars."""
+"""Report sections of parking: map of the lot, rates of outcomes by goal slot and by number of
+parked cars.
+"""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -16,8 +18,11 @@ from parking_exp.tasks.task import TaskFigure, TaskReport, TaskSection
 OUTCOMES = [metric.name for metric in METRICS if metric.is_outcome]
 
 
-def outcome_rates(runs: Sequence[pd.DataFrame], key: str, of_scene: Callable[[int], int]) -> list[dict[str, Any]]:
-    """Return the rates of outcomes over the final episodes (scene, outcome) of several runs, by a number of the scene.
+def outcome_rates(
+    runs: Sequence[pd.DataFrame], key: str, of_scene: Callable[[int], int]
+) -> list[dict[str, Any]]:
+    """Return the rates of outcomes over the final episodes (scene, outcome) of several runs, by a
+    number of the scene.
 
     Args:
         runs: a frame of episodes for each run.
@@ -25,13 +30,16 @@ def outcome_rates(runs: Sequence[pd.DataFrame], key: str, of_scene: Callable[[in
         of_scene: returns it for a scene.
 
     Returns:
-        A row for each number, ascending: the number by its name, `n` episodes, and a rate for each outcome.
+        A row for each number, ascending: the number by its name, `n` episodes, and a rate for each
+            outcome.
     """
     if not runs:
         return []
     episodes = pd.concat(runs)
     numbers = {scene: of_scene(scene) for scene in episodes["scene"].unique().tolist()}
-    counts = pd.crosstab(episodes["scene"].map(numbers).rename(key), episodes["outcome"].astype(object))
+    counts = pd.crosstab(
+        episodes["scene"].map(numbers).rename(key), episodes["outcome"].astype(object)
+    )
     n = counts.sum(axis=1)
     rates = counts.reindex(columns=OUTCOMES, fill_value=0).div(n, axis=0)
     rates.insert(0, "n", n)
@@ -48,7 +56,9 @@ def vehicle_rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> li
         return []
     low, high = map(int, bounds.groups())
     return outcome_rates(
-        runs, "vehicles", lambda scene: drawn_number(np.random.PCG64(np.random.SeedSequence(scene)), low, high)
+        runs,
+        "vehicles",
+        lambda scene: drawn_number(np.random.PCG64(np.random.SeedSequence(scene)), low, high),
     )
 
 
@@ -60,13 +70,17 @@ def _goal(scene: int) -> int:
 def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the rates of outcomes by goal slot, and by number of parked cars where that varies."""
     by_vehicles = vehicle_rates(runs, config)
-    return {"slots": outcome_rates(runs, "slot", _goal)} | ({"vehicles": by_vehicles} if by_vehicles else {})
+    return {"slots": outcome_rates(runs, "slot", _goal)} | (
+        {"vehicles": by_vehicles} if by_vehicles else {}
+    )
 
 
 PARKING_REPORT = TaskReport(
     methods=[
-        "Success of parking is highway-env's: close to the goal slot, at any speed. Parked is stricter: all corners "
-        "inside the slot's lines, heading within 10°, slower than 0.5 m/s. Crash and timeout are the other ways to end."
+        "Success of parking is highway-env's: close to the goal slot, at any speed. Parked is "
+        "stricter: all corners "
+        "inside the slot's lines, heading within 10°, slower than 0.5 m/s. Crash and timeout are "
+        "the other ways to end."
     ],
     sections=[
         TaskSection(
@@ -78,7 +92,11 @@ PARKING_REPORT = TaskReport(
         TaskSection(
             "vehicles",
             "How many cars are parked",
-            [TaskFigure("vehicles", "Success and crashes by number of parked cars", draw_vehicle_rates)],
+            [
+                TaskFigure(
+                    "vehicles", "Success and crashes by number of parked cars", draw_vehicle_rates
+                )
+            ],
             table="vehicles",
         ),
     ],

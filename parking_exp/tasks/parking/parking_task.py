@@ -1,4 +1,6 @@
-"""Parking as a task: highway-env's parking-v0, and a vectorized simulator that gives the same episodes."""
+"""Parking as a task: highway-env's parking-v0, and a vectorized simulator that gives the same
+episodes.
+"""
 
 from collections.abc import Iterator, Sequence
 from typing import Any

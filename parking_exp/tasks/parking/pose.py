@@ -5,7 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, SLOT_LENGTH_M, SLOT_WIDTH_M
+from parking_exp.tasks.parking.geometry import (
+    CAR_LENGTH_M,
+    CAR_WIDTH_M,
+    SLOT_LENGTH_M,
+    SLOT_WIDTH_M,
+)
 
 PARKED_HEADING_RAD = math.radians(10.0)
 PARKED_SPEED_MPS = 0.5
@@ -27,7 +32,8 @@ class Pose:
 
     @property
     def parked(self) -> bool:
-        """Whether all four corners are inside the slot's lines, heading within 10 degrees, speed below 0.5 m/s.
+        """Whether all four corners are inside the slot's lines, heading within 10 degrees, speed
+        below 0.5 m/s.
 
         Stricter than highway-env's success, which allows 1.44 m, 33 degrees or any speed.
         """
@@ -43,7 +49,11 @@ class Pose:
 
 
 def relative_pose(
-    position: np.ndarray, heading: float, speed: float, goal_position: np.ndarray, goal_heading: float
+    position: np.ndarray,
+    heading: float,
+    speed: float,
+    goal_position: np.ndarray,
+    goal_heading: float,
 ) -> Pose:
     """Return the pose of a car relative to its goal slot; positions are (x, y), shape (2,)."""
     dx, dy = position[0] - goal_position[0], position[1] - goal_position[1]

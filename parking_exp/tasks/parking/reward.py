@@ -10,12 +10,16 @@ from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, ParkingCo
 
 @dataclass(frozen=True, eq=False)
 class ParkingReward:
-    """The reward of an env variant. Goals are x, y, vx, vy, cos_h, sin_h in highway-env's own scales."""
+    """The reward of an env variant. Goals are x, y, vx, vy, cos_h, sin_h in highway-env's own
+    scales.
+    """
 
     weights: np.ndarray  # of the features' distances, shape (6,)
     threshold: float  # the dense reward above which a goal counts as reached
     failure_penalty: float  # what a crash adds to the reward
-    sparse: bool  # the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance
+    sparse: (
+        bool  # the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance
+    )
 
     failure_key = "crashed"
     info_keys = ()
@@ -27,12 +31,16 @@ class ParkingReward:
     def of(cls, config: ParkingConfig) -> Self:
         """Return the reward of an `env` group."""
         weights = np.array(config.reward_weights, np.float64)
-        return cls(weights, -config.success_goal_reward, config.collision_reward, config.reward == "sparse")
+        return cls(
+            weights, -config.success_goal_reward, config.collision_reward, config.reward == "sparse"
+        )
 
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (...) for goals of shape (..., 6)."""
+        """Return reward and whether the goal is reached, both of shape (...) for goals of shape
+        (..., 6).
+        """
         # The negative square root of the weighted distance, by a dot product as in highway-env.
         dense: np.ndarray = -np.sqrt(np.vecdot(np.abs(achieved - desired), self.weights))
         reached = dense > self.threshold

@@ -1,4 +1,6 @@
-"""Scenes: the initial states of parking-v0: the car's heading at the origin, its goal slot, slots of parked cars."""
+"""Scenes: the initial states of parking-v0: the car's heading at the origin, its goal slot, slots
+of parked cars.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +11,16 @@ import numpy as np
 from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_PER_ROW
 
 NO_SLOT = -1  # of a car that is absent, where a scene has fewer than others
-AISLE_M = np.array([33.0, 8.5])  # half the length and width of the area: within the walls, outside of the slots
+AISLE_M = np.array(
+    [33.0, 8.5]
+)  # half the length and width of the area: within the walls, outside of the slots
 START_M = 6.0  # distance from the middle of the lot, where the car starts
 
-# Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it up; its heading.
+# Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it
+# up; its heading.
 _START_SLOTS = tuple(
-    int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_PER_ROW, 0]))) for row in (0, SLOTS_PER_ROW)
+    int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_PER_ROW, 0])))
+    for row in (0, SLOTS_PER_ROW)
 )
 _START_HEADINGS = SLOT_HEADINGS[list(_START_SLOTS), None]
 _START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
@@ -26,17 +32,22 @@ class Scenes:
 
     heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
     goal: np.ndarray  # goal slots, shape (n,)
-    vehicles: np.ndarray  # slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
+    vehicles: (
+        np.ndarray
+    )  # slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
 
     def __len__(self) -> int:
         return len(self.heading)
 
     @staticmethod
-    def from_seeds(seeds: Sequence[int], vehicles_range: tuple[int, int] = (0, 0), n_obstacles: int = 0) -> "Scenes":
+    def from_seeds(
+        seeds: Sequence[int], vehicles_range: tuple[int, int] = (0, 0), n_obstacles: int = 0
+    ) -> "Scenes":
         """Make highway-env's own scenes, those of `env.reset(seed=s)`, bit for bit.
 
-        `vehicles_range` are the lowest and the highest number of parked cars, at most 26; see `drawn_number`.
+        `vehicles_range` are the lowest and the highest number of parked cars, at most 26; see
+        `drawn_number`.
         """
         heading, number = np.empty(len(seeds)), np.empty(len(seeds), np.int64)
         slots = np.zeros((len(seeds), 1 + vehicles_range[1]), np.int64)
@@ -54,7 +65,10 @@ class Scenes:
 
     @staticmethod
     def random(
-        rng: np.random.Generator, n: int, vehicles_range: tuple[int, int] = (0, 0), n_obstacles: int = 0
+        rng: np.random.Generator,
+        n: int,
+        vehicles_range: tuple[int, int] = (0, 0),
+        n_obstacles: int = 0,
     ) -> "Scenes":
         """Draw scenes from the same distribution, many at once."""
         low, high = vehicles_range
@@ -65,8 +79,12 @@ class Scenes:
         return Scenes._from_draws(heading, slots, number, obstacles)
 
     @staticmethod
-    def _from_draws(heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray) -> "Scenes":
-        """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots; `number` of the cars count."""
+    def _from_draws(
+        heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray
+    ) -> "Scenes":
+        """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots; `number` of
+        the cars count.
+        """
         taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
         taken[:, 0] = start_slot(heading)
         for column in range(draws.shape[1]):
@@ -80,9 +98,11 @@ class Scenes:
 
 
 def start_slot(heading: np.ndarray) -> np.ndarray:
-    """Return the slot in which the car starts according to highway-env, which is never a goal; shape (n,).
+    """Return the slot in which the car starts according to highway-env, which is never a goal;
+    shape (n,).
 
-    It minimises distance plus difference of heading. Of the two slots at each heading, highway-env takes the first.
+    It minimises distance plus difference of heading. Of the two slots at each heading, highway-env
+    takes the first.
     """
     turn = heading - _START_HEADINGS
     turn += np.pi
@@ -93,7 +113,8 @@ def start_slot(heading: np.ndarray) -> np.ndarray:
 
 
 def drawn_number(bit_generator: Any, low: int, high: int) -> int:
-    """Return the number of vehicles of a scene, uniform in low ... high, without using up its random generator.
+    """Return the number of vehicles of a scene, uniform in low ... high, without using up its
+    random generator.
 
     The number is drawn by the scene's generator, jumped once: `env.reset(seed=s)` has
     `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
@@ -104,11 +125,15 @@ def drawn_number(bit_generator: Any, low: int, high: int) -> int:
 
 
 def drawn_places(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Draw n places of obstacles, shape (n, 2) [m]: uniform in the aisle, but not where the car starts."""
+    """Draw n places of obstacles, shape (n, 2) [m]: uniform in the aisle, but not where the car
+    starts.
+    """
     places = np.empty((0, 2))
     while len(places) < n:
         candidates = rng.uniform(-AISLE_M, AISLE_M, (n, 2))
-        places = np.concatenate([places, candidates[np.sqrt((candidates**2).sum(axis=1)) > START_M]])
+        places = np.concatenate(
+            [places, candidates[np.sqrt((candidates**2).sum(axis=1)) > START_M]]
+        )
     return places[:n]
 
 

@@ -15,10 +15,11 @@ from parking_exp.tasks.parking.simulator import Simulator
 
 
 class ParkingVecEnv(VecEnv):
-    """VecEnv of n parking envs, simulated together; an env starts a new scene when its episode ends.
+    """VecEnv of n parking envs, simulated together; an env starts a new scene when its episode
+    ends.
 
-    After `seed(s)`, `reset()` starts highway-env's scenes s, s + 1, ...; later ones are drawn from the same
-    distribution by a generator seeded with s.
+    After `seed(s)`, `reset()` starts highway-env's scenes s, s + 1, ...; later ones are drawn from
+    the same distribution by a generator seeded with s.
     """
 
     render_mode = None  # videos are made with highway-env
@@ -29,17 +30,25 @@ class ParkingVecEnv(VecEnv):
         self.simulator = Simulator(config, self._draw(n_envs))
         self.goal_reward = self.simulator.reward
         goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
-        seen = spaces.Box(-np.inf, np.inf, (observation_size(config.observation.vehicles_count),), np.float64)
-        observation_space = spaces.Dict({"observation": seen, "achieved_goal": goal, "desired_goal": goal})
+        seen = spaces.Box(
+            -np.inf, np.inf, (observation_size(config.observation.vehicles_count),), np.float64
+        )
+        observation_space = spaces.Dict(
+            {"observation": seen, "achieved_goal": goal, "desired_goal": goal}
+        )
         super().__init__(n_envs, observation_space, spaces.Box(-1.0, 1.0, (2,), np.float32))
         self._actions = np.zeros((n_envs, 2))
 
     def reset(self) -> VecEnvObs:
         """Start a scene in every env and return the first observations."""
         if self._seeds[0] is not None:
-            self._rng = np.random.default_rng((self._seeds[0], 1))  # not the stream that scene s itself is drawn from
+            self._rng = np.random.default_rng(
+                (self._seeds[0], 1)
+            )  # not the stream that scene s itself is drawn from
             seeds = [s or 0 for s in self._seeds]
-            self.simulator.start(Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles))
+            self.simulator.start(
+                Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles)
+            )
         else:
             self.simulator.start(self._draw(self.num_envs))
         self._reset_seeds()
@@ -86,21 +95,33 @@ class ParkingVecEnv(VecEnv):
         """Return an attribute for each of the envs, which share it."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+    def set_attr(
+        self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
+    ) -> None:
         """Refuse: the envs share everything."""
         raise NotImplementedError
 
     def env_method(
-        self, method_name: str, *args: Any, indices: int | Iterable[int] | None = None, **kwargs: Any
+        self,
+        method_name: str,
+        *args: Any,
+        indices: int | Iterable[int] | None = None,
+        **kwargs: Any,
     ) -> list[Any]:
         """Call a method for each of the envs, such as `compute_reward`, which HER needs."""
         return [getattr(self, method_name)(*args, **kwargs) for _ in self._get_indices(indices)]
 
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None) -> np.ndarray:
-        """Return the reward of goals, collisions apart: shape (batch,) for goals of shape (batch, 6)."""
+    def compute_reward(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None
+    ) -> np.ndarray:
+        """Return the reward of goals, collisions apart: shape (batch,) for goals of shape (batch,
+        6).
+        """
         return self.goal_reward(achieved_goal, desired_goal)[0]
 
-    def env_is_wrapped(self, wrapper_class: type, indices: int | Iterable[int] | None = None) -> list[bool]:
+    def env_is_wrapped(
+        self, wrapper_class: type, indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
         """Return that no env is wrapped."""
         return [False for _ in self._get_indices(indices)]
 

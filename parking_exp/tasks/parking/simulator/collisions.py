@@ -1,12 +1,13 @@
 """Collision detection and response for one frame, in highway-env's order.
 
-In each scene highway-env tests the car against the parked cars, the walls and the obstacles, then the parked cars
-against each other, the walls and the obstacles. The last push of a frame counts. A pair of rectangles is tested twice
-(`RoadObject._is_colliding`, `utils.are_polygons_intersecting`): the circles around both, then the separating axis
-theorem, now and one frame ahead.
+In each scene highway-env tests the car against the parked cars, the walls and the obstacles, then
+the parked cars against each other, the walls and the obstacles. The last push of a frame counts. A
+pair of rectangles is tested twice (`RoadObject._is_colliding`, `utils.are_polygons_intersecting`):
+the circles around both, then the separating axis theorem, now and one frame ahead.
 
-A car that was pushed out of another is exactly at contact in the next frame, where the last bit decides. Therefore the
-arithmetic is highway-env's to the last bit: `vecdot` and `matmul` make the same BLAS calls as its dot products.
+A car that was pushed out of another is exactly at contact in the next frame, where the last bit
+decides. Therefore the arithmetic is highway-env's to the last bit: `vecdot` and `matmul` make the
+same BLAS calls as its dot products.
 """
 
 import numpy as np
@@ -33,7 +34,9 @@ WALL_DISTANCES = np.linalg.norm(WALL_POSITIONS, axis=1) - WALL_THICKNESS_M / 2
 Lengths = np.ndarray | float
 
 
-def corners(position: np.ndarray, direction: np.ndarray, length: Lengths, width: Lengths) -> np.ndarray:
+def corners(
+    position: np.ndarray, direction: np.ndarray, length: Lengths, width: Lengths
+) -> np.ndarray:
     """Return the corners of rectangles, in order around them, shape (..., 4, 2) [m].
 
     Args:
@@ -54,13 +57,16 @@ def corners(position: np.ndarray, direction: np.ndarray, length: Lengths, width:
     return corner_points
 
 
-def out_of_reach(offset: np.ndarray, diagonal: Lengths, other: Lengths, travel: Lengths) -> np.ndarray:
+def out_of_reach(
+    offset: np.ndarray, diagonal: Lengths, other: Lengths, travel: Lengths
+) -> np.ndarray:
     """Return where the circles around two rectangles are apart, which highway-env tests first.
 
     Args:
         offset: from the first centre to the second, shape (..., 2).
         diagonal, other: of the two rectangles, of a shape broadcastable to (...) [m].
-        travel: signed speed times dt of the first, likewise; as in highway-env, the circles shrink in reverse.
+        travel: signed speed times dt of the first, likewise; as in highway-env, the circles shrink
+            in reverse.
     """
     apart: np.ndarray = np.sqrt(np.vecdot(offset, offset)) > (diagonal + other) / 2 + travel
     return apart
@@ -76,7 +82,8 @@ def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.
     Returns:
         intersecting: whether they overlap now, shape (n,).
         will_intersect: whether they will overlap when displaced, shape (n,).
-        translation: what would push a out of b then, shape (n, 2); meaningless where they will not overlap.
+        translation: what would push a out of b then, shape (n, 2); meaningless where they will not
+            overlap.
     """
     n = len(polygons)
     edges = polygons.take(NEXT_CORNER, axis=2) - polygons
@@ -92,7 +99,8 @@ def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.
     motion = np.vecdot(normals, np.ascontiguousarray(displacement)[:, None])
     low_a += np.minimum(motion, 0)
     high_a += np.maximum(motion, 0)
-    # Signed distance of the shadows; where they overlap it is negative, and not always the whole overlap.
+    # Signed distance of the shadows; where they overlap it is negative, and not always the whole
+    # overlap.
     gap = np.where(low_a < low_b, low_b - high_a, low_a - high_b)
     will_be_apart = gap > 0
 
@@ -107,7 +115,9 @@ def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.
 
 
 def extent(direction: np.ndarray) -> np.ndarray:
-    """Return how far cars reach from their centres along x and y; direction and result have the shape (2, n)."""
+    """Return how far cars reach from their centres along x and y; direction and result have the
+    shape (2, n).
+    """
     share = np.abs(direction)
     reach: np.ndarray = share * (CAR_LENGTH_M / 2)
     reach += share[::-1] * (CAR_WIDTH_M / 2)
@@ -115,27 +125,40 @@ def extent(direction: np.ndarray) -> np.ndarray:
 
 
 WALL_CORNERS = corners(
-    WALL_POSITIONS, np.stack([np.cos(WALL_HEADINGS), np.sin(WALL_HEADINGS)], axis=-1), WALL_LENGTHS, WALL_THICKNESS_M
+    WALL_POSITIONS,
+    np.stack([np.cos(WALL_HEADINGS), np.sin(WALL_HEADINGS)], axis=-1),
+    WALL_LENGTHS,
+    WALL_THICKNESS_M,
 )
 
 
 class Collisions:
     """Collisions of all scenes in a frame of `dt` seconds.
 
-    What can be hit is numbered: the `count` parked cars, then the walls, also where there are none, then the obstacles.
+    What can be hit is numbered: the `count` parked cars, then the walls, also where there are none,
+    then the obstacles.
     """
 
     def __init__(self, dt: float, count: int, n_obstacles: int, *, walls: bool) -> None:
         self.dt, self.count, self.n_obstacles, self.walls = dt, count, n_obstacles, walls
         first_obstacle = count + len(WALL_LENGTHS)
-        others = [*range(first_obstacle if walls else count), *range(first_obstacle, first_obstacle + n_obstacles)]
+        others = [
+            *range(first_obstacle if walls else count),
+            *range(first_obstacle, first_obstacle + n_obstacles),
+        ]
         pairs = [(first, second) for first in range(count) for second in others if second > first]
         self._pairs = np.array(pairs, int).reshape(-1, 2)
-        diagonals = np.full(count, CAR_DIAGONAL_M), WALL_DIAGONALS, np.full(n_obstacles, OBSTACLE_DIAGONAL_M)
+        diagonals = (
+            np.full(count, CAR_DIAGONAL_M),
+            WALL_DIAGONALS,
+            np.full(n_obstacles, OBSTACLE_DIAGONAL_M),
+        )
         self._diagonals = np.concatenate(diagonals)
 
     def resolve(self, state: SceneState) -> None:
-        """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the state."""
+        """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the
+        state.
+        """
         self._resolve_cars(state)
         # Parked cars stand apart until one of them is pushed.
         if state.disturbed.any():
@@ -147,15 +170,21 @@ class Collisions:
             return
         polygons = np.empty((len(scene), 2, 4, 2))
         direction = state.direction.take(scene, axis=1)
-        polygons[:, 0] = corners(state.position.take(scene, axis=1).T, direction.T, CAR_LENGTH_M, CAR_WIDTH_M)
+        polygons[:, 0] = corners(
+            state.position.take(scene, axis=1).T, direction.T, CAR_LENGTH_M, CAR_WIDTH_M
+        )
         polygons[:, 1] = self._corners(state, scene, target)
         now, soon, push = separating_axis(polygons, (state.speed[scene] * direction).T * self.dt)
         state.crashed[scene[now]] = True
         if soon.any():
             self._push(state, scene[soon], target[soon], push[soon])
 
-    def _push(self, state: SceneState, scene: np.ndarray, target: np.ndarray, push: np.ndarray) -> None:
-        """Set impacts: walls and obstacles push all the way out, parked cars half, and are pushed as far themselves."""
+    def _push(
+        self, state: SceneState, scene: np.ndarray, target: np.ndarray, push: np.ndarray
+    ) -> None:
+        """Set impacts: walls and obstacles push all the way out, parked cars half, and are pushed
+        as far themselves.
+        """
         if self.count:
             cars = target < self.count
             push[cars] /= 2
@@ -188,17 +217,23 @@ class Collisions:
     def _corners(self, state: SceneState, scene: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the corners of what can be hit, shape (n, 4, 2)."""
         wall = target - self.count
-        target_corners: np.ndarray = WALL_CORNERS.take(np.clip(wall, 0, len(WALL_LENGTHS) - 1), axis=0)
+        target_corners: np.ndarray = WALL_CORNERS.take(
+            np.clip(wall, 0, len(WALL_LENGTHS) - 1), axis=0
+        )
         if self.n_obstacles:
             placed = wall >= len(WALL_LENGTHS)
             places = state.obstacles[scene[placed], wall[placed] - len(WALL_LENGTHS)]
-            target_corners[placed] = corners(places, np.tile([1.0, 0.0], (len(places), 1)), OBSTACLE_M, OBSTACLE_M)
+            target_corners[placed] = corners(
+                places, np.tile([1.0, 0.0], (len(places), 1)), OBSTACLE_M, OBSTACLE_M
+            )
         if self.count:
             cars = wall < 0
             which = scene[cars], target[cars]
             heading = state.vehicle_heading[which]
             direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-            target_corners[cars] = corners(state.vehicles[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
+            target_corners[cars] = corners(
+                state.vehicles[which], direction, CAR_LENGTH_M, CAR_WIDTH_M
+            )
         return target_corners
 
     def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
@@ -208,18 +243,23 @@ class Collisions:
         scenes, numbers = [at_wall], [self.count + wall]
         if self.count:
             offset = state.vehicles - state.position.T[:, None]
-            scene, car = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, CAR_DIAGONAL_M, travel[:, None]))
+            scene, car = np.nonzero(
+                ~out_of_reach(offset, CAR_DIAGONAL_M, CAR_DIAGONAL_M, travel[:, None])
+            )
             scenes, numbers = [scene, *scenes], [car, *numbers]
         if self.n_obstacles:
             offset = state.obstacles - state.position.T[:, None]
-            scene, number = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, OBSTACLE_DIAGONAL_M, travel[:, None]))
+            scene, number = np.nonzero(
+                ~out_of_reach(offset, CAR_DIAGONAL_M, OBSTACLE_DIAGONAL_M, travel[:, None])
+            )
             scenes, numbers = [*scenes, scene], [*numbers, self.count + len(WALL_LENGTHS) + number]
         return np.concatenate(scenes), np.concatenate(numbers)
 
     def _near_walls(self, state: SceneState, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self.walls:
             return np.empty(0, int), np.empty(0, int)
-        # The circles around the walls cover most of the lot: first drop cars that cannot reach the line of a wall.
+        # The circles around the walls cover most of the lot: first drop cars that cannot reach the
+        # line of a wall.
         reach, motion = extent(state.direction) + 1e-9, travel * state.direction
         left_below = reach - state.position - np.minimum(motion, 0)
         right_above = reach + state.position + np.maximum(motion, 0)

@@ -1,7 +1,7 @@
 """Vehicle dynamics of highway-env's car, a kinematic bicycle model, for arrays of cars.
 
-Operations and their order are those of `Vehicle.step` and `ContinuousAction`, so that results agree to the last bit.
-Positions are in metres, headings and steering angles in radians, speeds in m/s.
+Operations and their order are those of `Vehicle.step` and `ContinuousAction`, so that results agree
+to the last bit. Positions are in metres, headings and steering angles in radians, speeds in m/s.
 """
 
 import numpy as np
@@ -26,7 +26,8 @@ def advance(
     sin_slip: np.ndarray,
     dt: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Integrate the bicycle model over one simulation frame; return position, heading and speed after it.
+    """Integrate the bicycle model over one simulation frame; return position, heading and speed
+    after it.
 
     Args:
         position: shape (2, n); all others have the shape (n,).
@@ -48,8 +49,12 @@ def advance(
     return velocity, turn, speed + gain
 
 
-def limited_acceleration(acceleration: np.ndarray, speed: np.ndarray, speed_range: Range) -> np.ndarray:
-    """Return the acceleration after highway-env's speed limiter: a car that is too fast is slowed down, not stopped."""
+def limited_acceleration(
+    acceleration: np.ndarray, speed: np.ndarray, speed_range: Range
+) -> np.ndarray:
+    """Return the acceleration after highway-env's speed limiter: a car that is too fast is slowed
+    down, not stopped.
+    """
     low, high = speed_range
     limited = np.where(speed > high, np.minimum(acceleration, high - speed), acceleration)
     return np.where(speed < low, np.maximum(acceleration, low - speed), limited)

@@ -23,11 +23,17 @@ class SceneState:
     speed: np.ndarray  # signed, shape (n,) [m/s]
     crashed: np.ndarray  # shape (n,)
     steps: np.ndarray  # policy steps since the start, shape (n,)
-    vehicles: np.ndarray  # positions of the parked cars, shape (n, vehicles, 2) [m]; missing ones are far away
+    vehicles: (
+        np.ndarray
+    )  # positions of the parked cars, shape (n, vehicles, 2) [m]; missing ones are far away
     vehicle_heading: np.ndarray  # shape (n, vehicles) [rad]
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
-    hit: np.ndarray  # whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself
-    impact: np.ndarray  # what a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m]
+    hit: (
+        np.ndarray
+    )  # whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself
+    impact: (
+        np.ndarray
+    )  # what a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m]
     disturbed: np.ndarray  # whether a parked car has been hit, shape (n,)
 
     @classmethod
@@ -55,7 +61,12 @@ class SceneState:
 
     def take(self, rows: np.ndarray) -> Self:
         """Return the state of some scenes, by index, as a copy."""
-        return type(self)(**{name: array.take(rows, axis=int(name in COLUMNS)) for name, array in vars(self).items()})
+        return type(self)(
+            **{
+                name: array.take(rows, axis=int(name in COLUMNS))
+                for name, array in vars(self).items()
+            }
+        )
 
     def put(self, rows: np.ndarray, other: Self) -> None:
         """Replace the state of some scenes."""

@@ -1,8 +1,9 @@
-"""Vectorized simulator of parking-v0: many scenes at once, exactly as highway-env simulates them, with NumPy alone.
+"""Vectorized simulator of parking-v0: many scenes at once, exactly as highway-env simulates them,
+with NumPy alone.
 
-A policy step is a few simulation frames of constant action. Scenes without a possible contact in the step, nearly all,
-are integrated at once; the others frame by frame, in highway-env's order: limit the action, move, apply the impact of
-the frame before, detect collisions.
+A policy step is a few simulation frames of constant action. Scenes without a possible contact in
+the step, nearly all, are integrated at once; the others frame by frame, in highway-env's order:
+limit the action, move, apply the impact of the frame before, detect collisions.
 """
 
 import numpy as np
@@ -22,7 +23,12 @@ from parking_exp.tasks.parking.pose import Pose, relative_pose
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator.collisions import Collisions, extent
-from parking_exp.tasks.parking.simulator.dynamics import Range, advance, limited_acceleration, slip_angle
+from parking_exp.tasks.parking.simulator.dynamics import (
+    Range,
+    advance,
+    limited_acceleration,
+    slip_angle,
+)
 from parking_exp.tasks.parking.simulator.scene_state import SceneState
 from parking_exp.tasks.task import Step
 
@@ -60,9 +66,13 @@ class Simulator:
         slots[:, :2] = SLOT_POSITIONS
         slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
         self._slot_goals = slots / self.scales
-        self._collisions = Collisions(self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls)
+        self._collisions = Collisions(
+            self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls
+        )
         sizes = scenes.vehicles.shape[1], scenes.obstacles.shape[1]
-        assert sizes == (config.vehicles_range[1], config.obstacles), f"scenes have {sizes} vehicles and obstacles"
+        assert sizes == (config.vehicles_range[1], config.obstacles), (
+            f"scenes have {sizes} vehicles and obstacles"
+        )
         self.start(scenes)
 
     def __len__(self) -> int:
@@ -83,17 +93,26 @@ class Simulator:
         """Return the observation of all scenes, or of some."""
         state, pose = self.state, self._pose(rows)
         observed = np.divide(pose, self.scales, order="C")
-        goals = {"achieved_goal": observed.copy(), "desired_goal": self._slot_goals[state.goal[rows]]}
+        goals = {
+            "achieved_goal": observed.copy(),
+            "desired_goal": self._slot_goals[state.goal[rows]],
+        }
         if self.n_seen:
             others, heading = state.vehicles[rows], state.vehicle_heading[rows]
             if state.obstacles.shape[1]:
                 others = np.concatenate([others, state.obstacles[rows]], axis=1)
-                heading = np.concatenate([heading, np.zeros((len(pose), state.obstacles.shape[1]))], axis=1)
-            observed = np.concatenate([observed, nearest_vehicles(pose[:, :2], others, heading, self.n_seen)], axis=1)
+                heading = np.concatenate(
+                    [heading, np.zeros((len(pose), state.obstacles.shape[1]))], axis=1
+                )
+            observed = np.concatenate(
+                [observed, nearest_vehicles(pose[:, :2], others, heading, self.n_seen)], axis=1
+            )
         return {"observation": observed, **goals}
 
     def step(self, actions: np.ndarray) -> Step:
-        """Drive all scenes for one policy step; actions have the shape (n, 2): acceleration, then steering."""
+        """Drive all scenes for one policy step; actions have the shape (n, 2): acceleration, then
+        steering.
+        """
         state = self.state
         actions = np.asarray(actions)
         if actions.dtype.kind != "f":
@@ -104,7 +123,11 @@ class Simulator:
         rows = self._drive(acceleration, steering)
         if len(rows):
             part = state.take(rows)
-            part.position, part.heading, part.speed = before[0][:, rows], before[1][rows], before[2][rows]
+            part.position, part.heading, part.speed = (
+                before[0][:, rows],
+                before[1][rows],
+                before[2][rows],
+            )
             self._drive_by_frames(part, acceleration[rows], steering[rows])
             state.put(rows, part)
         state.steps += 1
@@ -114,7 +137,11 @@ class Simulator:
         """Return the pose of a car relative to its goal."""
         state, goal = self.state, self.state.goal[row]
         return relative_pose(
-            state.position[:, row], state.heading[row], state.speed[row], SLOT_POSITIONS[goal], SLOT_HEADINGS[goal]
+            state.position[:, row],
+            state.heading[row],
+            state.speed[row],
+            SLOT_POSITIONS[goal],
+            SLOT_HEADINGS[goal],
         )
 
     def get_state(self) -> dict[str, np.ndarray]:
@@ -137,7 +164,9 @@ class Simulator:
         return scaled.T.astype(np.float64)
 
     def _drive(self, acceleration: np.ndarray, steering: np.ndarray) -> np.ndarray:
-        """Integrate all frames of a step as if there were no obstacles; return the rows where that may be wrong."""
+        """Integrate all frames of a step as if there were no obstacles; return the rows where that
+        may be wrong.
+        """
         state = self.state
         position, heading, speed = state.position, state.heading, state.speed
         slip = slip_angle(steering)
@@ -145,12 +174,19 @@ class Simulator:
         gain = acceleration * self.dt
         farthest = np.abs(position)
         for _ in range(self.frames):
-            position, heading, speed = advance(position, heading, speed, gain, slip, sin_slip, self.dt)
+            position, heading, speed = advance(
+                position, heading, speed, gain, slip, sin_slip, self.dt
+            )
             if self.walls:
                 np.maximum(farthest, np.abs(position), out=farthest)
 
         before = state.speed
-        state.position, state.heading, state.speed, state.direction = position, heading, speed, _direction(heading)
+        state.position, state.heading, state.speed, state.direction = (
+            position,
+            heading,
+            speed,
+            _direction(heading),
+        )
         low, high = self.speed_range
         slowest, fastest = np.minimum(before, speed), np.maximum(before, speed)
         uncertain = state.crashed | state.hit[:, 0]
@@ -158,7 +194,8 @@ class Simulator:
         uncertain |= fastest > high
         ahead = np.maximum(fastest, -slowest) * self.dt
         if self.walls:
-            # At the end the car reaches this far along both axes; before, it was turned by at most `turn`.
+            # At the end the car reaches this far along both axes; before, it was turned by at most
+            # `turn`.
             reach = extent(state.direction)
             turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
             near = farthest + reach + (ahead + turn * (CAR_DIAGONAL_M / 2)) > FREE_M
@@ -169,7 +206,9 @@ class Simulator:
             uncertain |= self._near_vehicles(reach_m)
         if state.obstacles.shape[1]:
             offset = state.obstacles - state.position.T[:, None]
-            uncertain |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach_m[:, None] ** 2).any(axis=1)
+            uncertain |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach_m[:, None] ** 2).any(
+                axis=1
+            )
         return np.flatnonzero(uncertain)
 
     def _near_vehicles(self, reach: np.ndarray) -> np.ndarray:
@@ -178,11 +217,17 @@ class Simulator:
         near: np.ndarray = state.disturbed.copy()
         close = np.flatnonzero(np.abs(state.position[1]) + reach > ROW_M)
         offset = state.vehicles[close] - state.position[:, close].T[:, None, :]
-        near[close] |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[close, None] ** 2).any(axis=1)
+        near[close] |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[close, None] ** 2).any(
+            axis=1
+        )
         return near
 
-    def _drive_by_frames(self, state: SceneState, acceleration: np.ndarray, steering: np.ndarray) -> None:
-        """Integrate a step frame by frame, in place, with speed limits, collisions and their consequences."""
+    def _drive_by_frames(
+        self, state: SceneState, acceleration: np.ndarray, steering: np.ndarray
+    ) -> None:
+        """Integrate a step frame by frame, in place, with speed limits, collisions and their
+        consequences.
+        """
         low, high = self.speed_range
         fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)
         limited = fastest.max() > min(-low, high)
@@ -195,7 +240,13 @@ class Simulator:
             if limited:
                 acceleration = limited_acceleration(acceleration, state.speed, self.speed_range)
             state.position, state.heading, state.speed = advance(
-                state.position, state.heading, state.speed, acceleration * self.dt, slip, sin_slip, self.dt
+                state.position,
+                state.heading,
+                state.speed,
+                acceleration * self.dt,
+                slip,
+                sin_slip,
+                self.dt,
             )
             if state.hit.any():
                 impact = np.where(state.hit[..., None], state.impact, 0.0)
