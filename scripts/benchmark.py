@@ -1,24 +1,34 @@
 #!/usr/bin/env python
-"""Measure speed relative to named peers, alternating between both sides, on one core of an
-otherwise idle machine.
+"""Measure speed relative to named peers, on one core of an otherwise idle machine.
+
+Measurements alternate between both sides.
 
 simulator.*            env steps/s against highway-env, random actions, 512 or 8 scenes at once
-evaluation.*           seconds to evaluate a trained policy on 500 scenes update.*
-updates/s, sampling included, against Stable-Baselines3's train(); 3x256 with precision=medium
-update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer; n1, n8:
-updates per round run.tutorial.ratio     env steps/s of the tutorial's recipe against plain
-Stable-Baselines3 + highway-env run.fetch_reach.cost   CPU time per env step, updates included, of
-env=fetch_reach / of plain Stable-Baselines3 run.default.overhead   wall time of the default run /
-of its training without tracking, checkpoints, evaluation her.sample.*           time of a HER
-minibatch: large buffer / small one; samples/s against Stable-Baselines3 her.*bytes*
-bytes per transition, in memory and in a saved buffer sweep.scaling.*        runs per hour with two
-workers / with one sweep.overhead_*       seconds per run besides training sweep.resume_scan_*
-seconds to read the state of 1,000 runs
+evaluation.*           seconds to evaluate a trained policy on 500 scenes
+update.*               updates/s, sampling included, against Stable-Baselines3's train();
+                       3x256 with precision=medium
+update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer;
+                       n1, n8: updates per round
+run.tutorial.ratio     env steps/s of the tutorial's recipe against plain Stable-Baselines3 +
+                       highway-env
+run.fetch_reach.cost   CPU time per env step, updates included, of env=fetch_reach / of plain
+                       Stable-Baselines3
+run.default.overhead   wall time of the default run / of its training without tracking, checkpoints,
+                       evaluation
+her.sample.*           time of a HER minibatch: large buffer / small one; samples/s against
+                       Stable-Baselines3
+her.*bytes*            bytes per transition, in memory and in a saved buffer
+sweep.scaling.*        runs per hour with two workers / with one
+sweep.overhead_*       seconds per run besides training
+sweep.resume_scan_*    seconds to read the state of 1,000 runs
 
-Arguments: output_dir=outputs   benchmark.json is written there only=[PREFIX,...]    figures to
-  measure; default: all rounds=5             measurements per figure; of whole runs at most 3
-  core=first           core to pin to: a number, first (the first allowed core), or null --quick
-  check in two to three minutes that everything runs; the figures are not meaningful
+Arguments:
+  output_dir=outputs   benchmark.json is written there
+  only=[PREFIX,...]    figures to measure; default: all
+  rounds=5             measurements per figure; of whole runs at most 3
+  core=first           core to pin to: a number, first (the first allowed core), or null
+  --quick              check in two to three minutes that everything runs; the figures mean
+                       nothing
 
 update.*.sbx.ratio needs: pip install 'parking-exp[bench]'
 """

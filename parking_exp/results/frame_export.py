@@ -1,9 +1,7 @@
-"""Exports of results: their frames as small gzipped CSV files, which are analysed again without the
-store.
+"""Export results: their frames as small gzipped CSV files, to be analysed again without the store.
 
-    write_export(load("her_ablation"), "docs/results/her_ablation") results =
-    read_export("docs/results/her_ablation")  # the frames of `parking_exp.results`, as `load` gives
-    them
+    write_export(load("her_ablation"), "docs/results/her_ablation")
+    results = read_export("docs/results/her_ablation")
 
 `help(parking_exp.results)` has its files and their columns.
 """
