@@ -92,7 +92,7 @@ dashboard: $(VENV)/.ui  ## Optuna's dashboard on a study (STUDY=outputs/NAME/stu
 tensorboard: setup  ## TensorBoard on all runs
 	$(BIN)/tensorboard --logdir outputs $(ARGS)
 
-results-page: setup  ## write docs/results.md, docs/provenance.md and README's rates from docs/results
+results-page: setup  ## write the result pages, their figures and README's parts from docs/results
 	$(BIN)/python scripts/results_page.py $(ARGS)
 
 lock: | $(BIN)/pip $(if $(UV_ON_PATH),,$(UV))  ## update constraints.txt (TORCH=VERSION chooses torch)

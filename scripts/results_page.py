@@ -1,6 +1,6 @@
 #!/usr/bin/env python
-"""Write docs/results.md, docs/provenance.md, figures and README's rates from docs/results;
-`--check` only compares.
+"""Write docs/results.md, docs/full_tables.md, docs/provenance.md, their figures and the marked
+parts of README from docs/results; `--check` only compares.
 """
 
 import re
@@ -32,7 +32,7 @@ from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
-PROVENANCE = DOCS / "provenance.md"
+FULL_TABLES, PROVENANCE = DOCS / "full_tables.md", DOCS / "provenance.md"
 FIGURES = dict.fromkeys(
     ("algorithms", "goal_tasks", "tutorial"), "learning_curves"
 )  # the others have final_success
@@ -148,16 +148,18 @@ class Experiment:
             next(item.effect for item in factor.levels if item.level == level)
         )
 
-    def table(self, factors: dict[str, str], *columns: str) -> str:
-        """Return a Markdown table of all cells.
+    def table(self, factors: dict[str, str], *columns: str, labels: tuple[str, ...] = ()) -> str:
+        """Return a Markdown table of cells.
 
         Args:
             factors: config keys and the headings of their columns; empty: one column of labels.
             columns: names in COLUMNS.
+            labels: labels of the cells, in the order of the rows; empty: all cells.
         """
         heads = [*(factors.values() or ["cell"]), *(COLUMNS[name][0] for name in columns)]
         lines = [_row(heads), _row([*(":---" for _ in factors or [0]), *("---:" for _ in columns)])]
-        for cell in self.report.cells:
+        cells = [self.cell(label) for label in labels] or self.report.cells
+        for cell in cells:
             names = [self._setting(cell, key) for key in factors] or [f"`{cell.label}`"]
             lines.append(_row([*names, *(COLUMNS[name][1](cell) for name in columns)]))
         return "\n".join(lines)
@@ -229,7 +231,7 @@ class Experiment:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the page, README's rates and the figures; with `--check`, compare the texts only."""
+    """Write the pages, README's parts and the figures; with `--check`, compare the texts only."""
     parser = ArgumentParser(description=__doc__)
     parser.add_argument(
         "--check", action="store_true", help="write nothing; fail if a text is not up to date"
@@ -240,6 +242,7 @@ def main(arguments: list[str]) -> int:
     }
     texts = {
         PAGE: _rendered("page", experiments),
+        FULL_TABLES: _rendered("full_tables", experiments),
         PROVENANCE: _rendered("provenance", experiments),
         README: _readme(experiments),
     }
