@@ -23,6 +23,7 @@ BASES = {
     # observations of goal tasks are dictionaries
     "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",
 }
+CALLBACK = "stable_baselines3.common.callbacks.BaseCallback"
 # Arguments that are classes, as dotted paths or `_target_` nodes, and their base classes.
 CLASS_ARGUMENTS = {
     "activation_fn": "torch.nn.Module",
@@ -95,6 +96,8 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
         yield from problems
         if not problems and isinstance(section, AlgorithmConfig):
             yield from _check_policy(section, import_object(section.target))
+    for number, callback in enumerate(run.callbacks or ()):
+        yield from _check_target(f"callbacks.{number}", callback, CALLBACK)
 
 
 def policy_class(algorithm: type) -> type | None:

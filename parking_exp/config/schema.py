@@ -11,7 +11,15 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveFloat
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    PositiveFloat,
+)
 
 from parking_exp.config.paths import (
     SQLITE,
@@ -62,6 +70,17 @@ def _check_local(path: str) -> str:
 
 LocalPath = Annotated[str, Field(min_length=1), AfterValidator(_check_local)]
 """A path of this machine: `s3://bucket` would become a folder `s3:`."""
+
+
+def _as_node(value: Any) -> Any:
+    """Return a dotted path as a node with a `_target_`; leave other values to pydantic."""
+    if isinstance(value, str):
+        return {"_target_": value}
+    return value
+
+
+Node = Annotated[dict[str, Any], BeforeValidator(_as_node)]
+"""A class with its arguments: a mapping with a `_target_`, or its dotted path alone."""
 
 
 class ThirdParty(BaseModel):
@@ -174,6 +193,7 @@ class RunConfig(OutputConfig):
     timeout_s: PositiveFloat | None = None
     contrasts: list[Annotated[list[str], Field(min_length=2, max_length=2)]] | None = None
     label: str | None = None
+    callbacks: list[Node] | None = None
     env: EnvConfig
     algorithm: AlgorithmConfig
     buffer: BufferConfig

@@ -56,8 +56,10 @@ def launcher_of(
         return LocalLauncher(1)
     with hydra_ready():
         try:
-            if settings["_target_"].startswith("parking_exp."):
-                return get_class(settings.pop("_target_"))(**settings)
+            launcher_class: Any = get_class(settings["_target_"])
+            if not issubclass(launcher_class, Plugin):
+                del settings["_target_"]
+                return launcher_class(**settings)
             if connect and name == "ray":
                 _connect_to_ray(settings)
             loader = GlobalHydra.instance().config_loader()

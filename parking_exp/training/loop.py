@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from hydra.utils import instantiate
 from stable_baselines3.common.callbacks import BaseCallback
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
@@ -128,7 +129,8 @@ class TrainingLoop:
         remaining = self.config.total_timesteps - self.model.num_timesteps
         if remaining > 0:
             interval = self.config.tracking.log_interval
-            callbacks: list[BaseCallback] = [RolloutCallback(self), UpdateNormalizer()]
+            own: list[BaseCallback] = [instantiate(node) for node in self.config.callbacks or ()]
+            callbacks = [RolloutCallback(self), UpdateNormalizer(), *own]
             self.model.learn(remaining, callbacks, log_interval=interval, reset_num_timesteps=False)
         self.restore_rollout_state()
         self.save_checkpoint()

@@ -209,3 +209,15 @@ def test_a_link_out_of_the_output_directory_is_refused_where_submitit_would_writ
     with pytest.raises(UntrustedError, match=r"\.submitit is a symbolic link that leads out"):
         launcher.train([output_dir / "sweep" / "cell" / "seed=0"])
     assert list(elsewhere.iterdir()) == []
+
+
+def test_a_launcher_of_a_users_package_trains_the_runs(tmp_path):
+    options = tmp_path / "my_conf" / "hydra" / "launcher"
+    options.mkdir(parents=True)
+    (options / "mine.yaml").write_text("_target_: support.user_launchers.Sequential\n")
+
+    done = sweep(tmp_path, "seeds=2", f"--config-dir={tmp_path}/my_conf", "hydra/launcher=mine")
+
+    assert done.returncode == 0, done.stderr
+    assert trained(tmp_path) == [1, 1]
+    assert "Sequential seed=0" in done.stdout

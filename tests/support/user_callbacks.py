@@ -1,0 +1,19 @@
+"""Callbacks as users write them."""
+
+from stable_baselines3.common.callbacks import BaseCallback
+
+
+class CountsRollouts(BaseCallback):
+    """Log the number of rollouts as a metric, and stop the training at a step."""
+
+    def __init__(self, stop_at: int | None = None) -> None:
+        super().__init__()
+        self.stop_at = stop_at
+        self.n_rollouts = 0
+
+    def _on_rollout_end(self) -> None:
+        self.n_rollouts += 1
+        self.logger.record("mine/rollouts", self.n_rollouts)
+
+    def _on_step(self) -> bool:
+        return self.stop_at is None or self.num_timesteps < self.stop_at
