@@ -181,22 +181,25 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
     ACROSS_OF_VEHICLE = (2, 4, 6, 8)  # of each vehicle
 
+    mirror_signs: torch.Tensor
+
+    def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
+        super().__init__(observation_space, reward_weights)
+        across = [*self.ACROSS]
+        n_of_vehicles = self.vehicles_count * self.of_each_vehicle
+        first_vehicle = self.features_dim - n_of_vehicles
+        for first in range(first_vehicle, self.features_dim, self.of_each_vehicle):
+            across += [first + lateral for lateral in self.ACROSS_OF_VEHICLE]
+        signs = torch.ones(self.features_dim)
+        signs[across] = -1.0
+        self.register_buffer("mirror_signs", signs, persistent=False)
+
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and
         goals of 6.
         """
         features = super().forward(observations)
-        signs = features.new_ones(self.features_dim)
-        vehicles = range(
-            self.features_dim - self.vehicles_count * self.of_each_vehicle, self.features_dim
-        )
-        across = [
-            first + lateral
-            for first in vehicles[:: self.of_each_vehicle]
-            for lateral in self.ACROSS_OF_VEHICLE
-        ]
-        signs[[*self.ACROSS, *across]] = -1.0
-        return torch.where(self.sign(observations) < 0, features * signs, features)
+        return torch.where(self.sign(observations) < 0, features * self.mirror_signs, features)
 
     def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return -1 where the scene is mirrored, else 1; shape (batch, 1)."""
