@@ -6,9 +6,8 @@ results are the same to the last bit. Where torch's float32 matmul precision is 
 layers go through oneDNN.
 """
 
-from collections.abc import Sequence
-from itertools import pairwise
-from typing import Any, cast
+from collections.abc import Iterable
+from itertools import chain
 
 import torch
 from torch import nn
@@ -16,20 +15,24 @@ from torch import nn
 # From this width on oneDNN can be faster than MKL, by up to a factor of two (one core of an AMD
 # EPYC with AVX-512; without AVX-512 it is slower). It sums in another order.
 WIDE = 128
-_onednn: Any = (
-    getattr(torch.ops.mkldnn, "_linear_pointwise", None)
-    if torch.backends.mkldnn.is_available()
-    else None
-)
+HAS_ONEDNN = torch.backends.mkldnn.is_available()
 
 
 class MLP:
-    """Linear layers with ReLU between them, from weight, bias, weight, ..., as SB3's `create_mlp`
-    makes them.
+    """Linear layers with ReLU between them, as Stable-Baselines3's `create_mlp` makes them.
+
+    Args:
+        modules: of the network, in order; only the linear layers are used.
+
+    Attributes:
+        layers: weight and bias of each.
+        tensors: the same as a flat list: weight, bias, weight, ...
     """
 
-    def __init__(self, tensors: Sequence[torch.Tensor]) -> None:
-        self.layers = list(zip(tensors[::2], tensors[1::2], strict=True))
+    def __init__(self, modules: Iterable[nn.Module]) -> None:
+        linear = [module for module in modules if isinstance(module, nn.Linear)]
+        self.layers = [(layer.weight, layer.bias) for layer in linear]
+        self.tensors: list[torch.Tensor] = list(chain.from_iterable(self.layers))
 
     def forward(self, x: torch.Tensor) -> list[torch.Tensor]:
         """Return the input of every layer, and the output last; x has the shape (batch, inputs)."""
@@ -42,10 +45,9 @@ class MLP:
     def backward(
         self, values: list[torch.Tensor], gradient: torch.Tensor, out: list[torch.Tensor]
     ) -> None:
-        """Write the gradients by weights and biases into `out`: weight, bias, weight, ..., layer by
-        layer.
+        """Write the gradients by weights and biases into `out`, which is laid out as `tensors`.
 
-        `values` are what `forward` returned, `gradient` is that of the loss by the output, shape
+        `values` are what `forward` returned. `gradient` is that of the loss by the output, shape
         (batch, outputs).
         """
         for index in range(len(self.layers) - 1, -1, -1):
@@ -55,9 +57,7 @@ class MLP:
                 gradient = self._back(index, values[index], gradient)
 
     def input_gradient(self, values: list[torch.Tensor], gradient: torch.Tensor) -> torch.Tensor:
-        """Return the gradient by the input, shape (batch, inputs), and none by weights and
-        biases.
-        """
+        """Return the gradient by the input, shape (batch, inputs); see `backward`."""
         for index in range(len(self.layers) - 1, 0, -1):
             gradient = self._back(index, values[index], gradient)
         return _times(gradient, self.layers[0][0])
@@ -67,59 +67,43 @@ class MLP:
         return torch.ops.aten.threshold_backward(_times(gradient, self.layers[index][0]), value, 0)
 
 
-def linear_layers(
-    module: nn.Sequential, last: type[nn.Module] | None = None
-) -> list[nn.Linear] | None:
-    """Return the layers of an MLP with ReLU between them and `last` at its end; None for any other
-    module.
-    """
-    children = list(module)
-    if last is not None and (not children or type(children.pop()) is not last):
-        return None
-    layers, between = children[::2], children[1::2]
-    if not all(type(layer) is nn.Linear and layer.bias is not None for layer in layers):
-        return None
-    linear = cast(list[nn.Linear], layers)
-    fits = all(first.out_features == second.in_features for first, second in pairwise(linear))
-    return linear if linear and fits and all(type(layer) is nn.ReLU for layer in between) else None
-
-
-def parameters(module: nn.Sequential) -> list[torch.Tensor]:
-    """Return weight, bias, weight, ... of an MLP's layers."""
-    return [
-        tensor
-        for layer in module
-        if isinstance(layer, nn.Linear)
-        for tensor in (layer.weight, layer.bias)
-    ]
+def tensors_of(networks: Iterable[MLP]) -> list[torch.Tensor]:
+    """Return the weights and biases of several networks, one after the other."""
+    return list(chain.from_iterable(network.tensors for network in networks))
 
 
 def _by_onednn(weight: torch.Tensor) -> bool:
-    return (
-        _onednn is not None
-        and min(weight.shape) >= WIDE
-        and torch.get_float32_matmul_precision() != "highest"
-    )
+    is_wide = min(weight.shape) >= WIDE
+    return is_wide and HAS_ONEDNN and torch.get_float32_matmul_precision() != "highest"
+
+
+def _onednn(
+    x: torch.Tensor,
+    weight: torch.Tensor,
+    bias: torch.Tensor | None = None,
+    activation: str = "none",
+) -> torch.Tensor:
+    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, activation, [], "")
 
 
 def _linear(
     x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, relu: bool = False
 ) -> torch.Tensor:
     if _by_onednn(weight):
-        return _onednn(x, weight, bias, "relu" if relu else "none", [], "")
+        return _onednn(x, weight, bias, "relu" if relu else "none")
     output = torch.addmm(bias, x, weight.t())
     return output.relu_() if relu else output
 
 
 def _times(gradient: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     if _by_onednn(weight):
-        return _onednn(gradient, weight.t(), None, "none", [], "")
+        return _onednn(gradient, weight.t())
     return gradient @ weight
 
 
 def _outer(gradient: torch.Tensor, value: torch.Tensor, out: torch.Tensor) -> None:
     """Write the gradient by a weight, summed over the batch."""
     if _by_onednn(out):
-        out.copy_(_onednn(gradient.t(), value.t(), None, "none", [], ""))
+        out.copy_(_onednn(gradient.t(), value.t()))
     else:
         torch.mm(gradient.t(), value, out=out)

@@ -8,7 +8,7 @@ import torch
 from parking_exp.algorithms.fast.critics import Critics
 from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
-from parking_exp.algorithms.fast.mlp import MLP, parameters
+from parking_exp.algorithms.fast.mlp import MLP
 from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors, polyak_update
 
 
@@ -17,33 +17,33 @@ class _Update:
 
     def __init__(self, model: Any) -> None:
         self.critics = Critics(model)
-        actor, target = parameters(model.actor.mu), parameters(model.actor_target.mu)
-        self.actor, self.target = MLP(actor), MLP(target)
-        self.flat, self.flat_target = FlatTensors(actor), FlatTensors(target)
+        self.actor = MLP(model.actor.mu)
+        self.target = MLP(model.actor_target.mu)
+        self.flat = FlatTensors(self.actor.tensors)
+        self.flat_target = FlatTensors(self.target.tensors)
         self.adam = Adam(model.actor.optimizer, self.flat)
 
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
-        batches = sample_minibatches(model, gradient_steps, batch_size)
-        actor_losses, critic_losses = [], []
-        for features, actions, rewards, discounts, next_signs in batches:
-            model._n_updates += 1
+        losses: dict[str, list[torch.Tensor]] = {"actor_loss": [], "critic_loss": []}
+        for minibatch in sample_minibatches(model, gradient_steps, batch_size):
+            features, actions, rewards, discounts, next_signs = minibatch
             n = len(actions)
-            noise = torch.empty_like(actions).normal_(
-                0, model.target_policy_noise
-            )  # as Stable-Baselines3 draws it
-            noise.clamp_(-model.target_noise_clip, model.target_noise_clip)
-            noise.mul_(next_signs)  # it is drawn for the env's actions
+            model._n_updates += 1
+
+            # Drawn as Stable-Baselines3 draws it, for the env's actions.
+            noise = torch.empty_like(actions).normal_(0, model.target_policy_noise)
+            noise.clamp_(-model.target_noise_clip, model.target_noise_clip).mul_(next_signs)
             next_actions = noise.add_(self.target.forward(features[n:])[-1].tanh_()).clamp_(-1, 1)
             next_value = self.critics.target_value(torch.cat((features[n:], next_actions), 1))
             target = rewards + discounts * next_value
             errors = self.critics.update(torch.cat((features[:n], actions), 1), target, weight=1.0)
-            critic_losses.append(errors.square().mean((1, 2)).sum())
+            losses["critic_loss"].append(errors.square().mean((1, 2)).sum())
+
             if model._n_updates % model.policy_delay == 0:
-                actor_losses.append(self._update_actor(features[:n]))
+                losses["actor_loss"].append(self._update_actor(features[:n]))
                 self.critics.polyak_update(model.tau)
                 polyak_update(self.flat_target, self.flat, model.tau)
-        losses = {"actor_loss": actor_losses, "critic_loss": critic_losses}
         return {
             name: torch.stack(values).mean().item() for name, values in losses.items() if values
         }
@@ -52,18 +52,15 @@ class _Update:
         values = self.actor.forward(features)
         actions = torch.tanh(values[-1])
         inputs = torch.cat((features, actions), 1)
-        value, gradient = self.critics.action_gradient(inputs, actions.shape[1], first=True)
-        self.actor.backward(
-            values, torch.ops.aten.tanh_backward(gradient, actions), self.adam.gradients
-        )
+        value, gradient = self.critics.action_gradient(inputs, actions.shape[1], n_critics=1)
+        gradient = torch.ops.aten.tanh_backward(gradient, actions)
+        self.actor.backward(values, gradient, self.adam.gradients)
         self.adam.step()
         return -value.mean()
 
 
 class TD3(FastTraining, stable_baselines3.TD3):
-    """Stable-Baselines3's TD3 with a faster `train`: same arithmetic, constructor, `save`, `load`,
-    `predict`, logs.
-    """
+    """Stable-Baselines3's TD3 with a faster `train`, which computes the same."""
 
     update_class = _Update
 
