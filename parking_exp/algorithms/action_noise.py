@@ -40,31 +40,28 @@ class EpsilonRandomActionNoise(NormalActionNoise):
 
 
 class VectorizedNormalNoise(VectorizedActionNoise):
-    """Vectorized normal noise: Stable-Baselines3's numbers, drawn in one call instead of
-    `n_envs`.
-    """
+    """Normal noise of several envs, drawn in one call: Stable-Baselines3's numbers."""
 
     base_noise: NormalActionNoise
 
     def __call__(self) -> np.ndarray:
         """Return noise of shape (n_envs, actions)."""
         base = self.base_noise
-        return np.random.normal(base._mu, base._sigma, (self.n_envs, len(base._mu))).astype(
-            base._dtype
-        )
+        shape = (self.n_envs, len(base._mu))
+        return np.random.normal(base._mu, base._sigma, shape).astype(base._dtype)
 
 
 def make_action_noise(node: Mapping[str, Any], env: VecEnv) -> ActionNoise:
-    """Make action noise, with arrays where YAML has lists, or one number for all dimensions of the
-    action.
+    """Make action noise from a node with a `_target_`.
+
+    Its lists become arrays, and so do single numbers, which are for all dimensions of the action.
     """
-    shape = env.action_space.shape or ()
-    arrays = {
-        name: np.broadcast_to(np.array(node[name], np.float64), shape)
-        for name in ("mean", "sigma")
-        if name in node
-    }
-    rest = {name: value for name, value in node.items() if name not in arrays}
-    noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
-    is_vectorized = env.num_envs > 1 and type(noise) is NormalActionNoise
-    return VectorizedNormalNoise(noise, env.num_envs) if is_vectorized else noise
+    arrays = {}
+    for name in {"mean", "sigma"} & node.keys():
+        value = np.array(node[name], np.float64)
+        arrays[name] = np.broadcast_to(value, env.action_space.shape or ())
+    make_noise = instantiate({**node, "_partial_": True, "_convert_": "all"})
+    noise: ActionNoise = make_noise(**arrays)
+    if env.num_envs > 1 and type(noise) is NormalActionNoise:
+        return VectorizedNormalNoise(noise, env.num_envs)
+    return noise

@@ -1,10 +1,10 @@
-"""Build a Stable-Baselines3 model from a config: the one place where third-party classes are
-instantiated.
+"""Build a Stable-Baselines3 model from a config.
+
+This is the one place where third-party classes are instantiated.
 """
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import chain
 from typing import Any
 
 import torch
@@ -13,7 +13,6 @@ from hydra.utils import get_class, instantiate
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
-from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
@@ -21,12 +20,12 @@ from parking_exp.algorithms.action_noise import make_action_noise
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.normalization import NormalizedExtractor, Normalizer
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, policy_class, takes
+from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, policy_class
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.tasks.feature_extractors import SymmetricFeatures
 from parking_exp.tasks.registry import make_task
-from parking_exp.tasks.task import Policy, Task
+from parking_exp.tasks.task import Policy
 
 
 def build_model(
@@ -36,8 +35,8 @@ def build_model(
 
     Args:
         config: the run.
-        env: training envs, or one env of the same spaces; the HER buffer relabels with their
-            `goal_reward`, if any.
+        env: training envs, or one env of the same spaces. The HER buffer relabels with their
+            `goal_reward`.
         seed: of weights, exploration and minibatches.
         for_training: False skips the replay buffer, for a model that only predicts.
 
@@ -45,53 +44,71 @@ def build_model(
         ConfigError: the library refuses an argument, or the algorithm would lose weights when it is
             saved.
     """
-    target, arguments, task = (
-        config.algorithm.target,
-        config.algorithm.arguments,
-        make_task(config.env),
-    )
-    train_freq, gradient_steps = config.update_rounds()
-    node: dict[str, Any] = {
-        "policy": POLICY,
-        **arguments,
-        "_target_": target,
-        "_convert_": "all",
-        "_partial_": True,
-        "gradient_steps": gradient_steps,
-        "buffer_size": config.buffer.buffer_size if for_training else env.num_envs,
-        "seed": seed,
-        "device": config.device,
+    target = config.algorithm.target
+    algorithm = get_class(target)
+    node = dict(config.algorithm.arguments)
+    custom_policy_kwargs = node.pop("policy_kwargs", None) or {}
+    noise = node.pop("action_noise", None)
+
+    arguments = instantiate({**node, "_convert_": "all"})
+    features = _features(config, env)
+    is_mirrored = issubclass(features.get("features_extractor_class", type), SymmetricFeatures)
+    arguments["policy"] = MIRRORED[policy_class(algorithm)] if is_mirrored else POLICY
+    arguments["policy_kwargs"] = {
+        "net_arch": list(config.algorithm.net_arch),
+        **features,
+        **_instantiate_classes(custom_policy_kwargs),
     }
-    for name in ("policy_kwargs", "train_freq", "action_noise"):
-        node.pop(name, None)
-    # Hydra would copy objects into its config.
-    build = instantiate(node)
-    objects: dict[str, Any] = {
-        "env": env,
-        "train_freq": train_freq,
-        "policy_kwargs": _policy_kwargs(config, task, env),
-    }
-    if issubclass(
-        objects["policy_kwargs"].get("features_extractor_class", type), SymmetricFeatures
-    ):
-        objects["policy"] = MIRRORED[policy_class(get_class(target))]
-    if for_training:
-        objects["replay_buffer_class"] = get_class(config.buffer.target)
-        objects["replay_buffer_kwargs"] = config.buffer.arguments
-        if issubclass(objects["replay_buffer_class"], HerBuffer) and env.has_attr("goal_reward"):
-            (objects["replay_buffer_kwargs"]["reward"],) = env.get_attr("goal_reward", 0)
-    else:
-        objects["replay_buffer_class"] = NoReplayBuffer
+    arguments["train_freq"], arguments["gradient_steps"] = config.update_rounds()
+    arguments |= _buffer(config, env) if for_training else PREDICTION_BUFFER
     _skip_compiler_import()
     try:
-        if (noise := arguments.get("action_noise")) is not None:
-            objects["action_noise"] = make_action_noise(noise, env)
-        model = build(**objects)
+        if noise is not None:
+            arguments["action_noise"] = make_action_noise(noise, env)
+        model = algorithm(env=env, seed=seed, device=config.device, **arguments)
     except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {target} refuses its arguments: {error}") from error
+
     if unsaved := _unsaved_weights(model):
         raise ConfigError(f"algorithm._target_={target}: its files would lose {', '.join(unsaved)}")
     return model
+
+
+def _features(config: RunConfig, env: VecEnv) -> dict[str, Any]:
+    """Return the policy's features extractor and its arguments; {} for the policy's default."""
+    features = make_task(config.env).features(config.algorithm.features)
+    if features is None and config.algorithm.normalize:
+        assert isinstance(env.observation_space, spaces.Dict)
+        normalizer = Normalizer(env.observation_space)
+        features = NormalizedExtractor, {"normalizer": normalizer}
+    if features is None:
+        return {}
+    extractor, arguments = features
+    return {"features_extractor_class": extractor, "features_extractor_kwargs": arguments}
+
+
+def _instantiate_classes(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `policy_kwargs` with classes in place of dotted paths and of `_target_` nodes."""
+    node = dict(policy_kwargs)
+    for name in CLASS_ARGUMENTS.keys() & node.keys():
+        if isinstance(node[name], Mapping):
+            node[name] = {**node[name], "_partial_": True}
+        else:
+            node[name] = {"_target_": "hydra.utils.get_class", "path": node[name]}
+    return instantiate({**node, "_convert_": "all"})
+
+
+def _buffer(config: RunConfig, env: VecEnv) -> dict[str, Any]:
+    """Return the arguments of an algorithm that name its replay buffer."""
+    buffer_class = get_class(config.buffer.target)
+    arguments = dict(config.buffer.arguments)
+    if issubclass(buffer_class, HerBuffer) and env.has_attr("goal_reward"):
+        (arguments["reward"],) = env.get_attr("goal_reward", 0)
+    return {
+        "buffer_size": config.buffer.buffer_size,
+        "replay_buffer_class": buffer_class,
+        "replay_buffer_kwargs": arguments,
+    }
 
 
 class NoReplayBuffer(DictReplayBuffer):
@@ -101,9 +118,11 @@ class NoReplayBuffer(DictReplayBuffer):
         """Refuse a transition."""
         raise ModelError(
             "this model only predicts, since it has no replay buffer; parking_exp.train() trains a "
-            "run, and "
-            "Stable-Baselines3's load() reads models/final.zip of its directory"
+            "run, and Stable-Baselines3's load() reads models/final.zip of its directory"
         )
+
+
+PREDICTION_BUFFER = {"buffer_size": 1, "replay_buffer_class": NoReplayBuffer}
 
 
 def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
@@ -112,11 +131,10 @@ def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
 
 
 def _skip_compiler_import() -> None:
-    """Keep torch from importing its compiler when the first optimizer is made: 1.1 to 4 s of CPU
-    time of every run.
+    """Keep torch from importing its compiler: 1.1 to 4 s of CPU time of every run.
 
-    torch imports it to exclude some methods of optimizers from compilation unless they have this
-    mark, see `torch._compile._disable_dynamo`.
+    When the first optimizer is made, torch imports it to exclude some methods of optimizers from
+    compilation, unless they have this mark. See `torch._compile._disable_dynamo`.
     """
     for name in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
         plain = getattr(getattr(torch.optim.Optimizer, name), "__wrapped__", None)
@@ -125,71 +143,31 @@ def _skip_compiler_import() -> None:
 
 
 def _unsaved_weights(model: OffPolicyAlgorithm) -> list[str]:
-    """Return the networks, optimizers and tensors of a model that its `_get_torch_save_params()`
-    does not name.
-    """
-    saved = [recursive_getattr(model, name) for name in chain(*model._get_torch_save_params())]
-    if not saved:  # such as the classes of sbx
-        return ["all weights"]
-    parts = {
-        id(part)
-        for value in saved
-        for part in (value.modules() if isinstance(value, nn.Module) else [value])
-    }
+    """Return the attributes with weights that `_get_torch_save_params()` does not name."""
+    names, variables = model._get_torch_save_params()
+    saved = set()
+    for name in [*names, *variables]:
+        part = recursive_getattr(model, name)
+        saved.add(id(part))
+        if isinstance(part, nn.Module):
+            saved.update(map(id, part.modules()))
     kinds = (nn.Module, torch.optim.Optimizer, torch.Tensor)
+    attributes = vars(model).items()
     return [
-        name
-        for name, value in vars(model).items()
-        if isinstance(value, kinds) and id(value) not in parts
+        name for name, value in attributes if isinstance(value, kinds) and id(value) not in saved
     ]
-
-
-def _policy_kwargs(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]:
-    policy_kwargs: dict[str, Any] = {"net_arch": list(config.algorithm.net_arch)}
-    if (features := task.features(config.algorithm.features)) is not None:
-        extractor, arguments = features
-        policy_kwargs |= {
-            "features_extractor_class": extractor,
-            "features_extractor_kwargs": arguments,
-        }
-    elif config.algorithm.normalize:
-        assert isinstance(env.observation_space, spaces.Dict)
-        policy_kwargs["features_extractor_class"] = NormalizedExtractor
-        policy_kwargs["features_extractor_kwargs"] = {
-            "normalizer": Normalizer(env.observation_space)
-        }
-    elif (policy := policy_class(get_class(config.algorithm.target))) is None or takes(
-        policy, "features_extractor_class"
-    ):
-        # The default of a MultiInputPolicy, except CrossQ's.
-        policy_kwargs["features_extractor_class"] = CombinedExtractor
-    custom = config.algorithm.arguments.get("policy_kwargs") or {}
-    classes = {name: _class(value) for name, value in custom.items() if name in CLASS_ARGUMENTS}
-    rest = instantiate(
-        {name: value for name, value in custom.items() if name not in classes}
-        | {"_convert_": "all"}
-    )
-    return policy_kwargs | rest | classes
-
-
-def _class(value: Any) -> Any:
-    """Return the class that a dotted path names, or a class with the arguments of a `_target_`
-    node.
-    """
-    if isinstance(value, Mapping):
-        return instantiate({**value, "_convert_": "all", "_partial_": True})
-    return get_class(value) if isinstance(value, str) else value
 
 
 @contextmanager
 def torch_settings(config: RunConfig) -> Iterator[None]:
     """Give torch the threads and the float32 matmul precision of a run within a block."""
-    threads, before = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    threads = torch.get_num_threads()
+    precision = torch.get_float32_matmul_precision()
     if config.torch_threads is not None:
         torch.set_num_threads(config.torch_threads)
+    torch.set_float32_matmul_precision(config.precision)
     try:
-        torch.set_float32_matmul_precision(config.precision)
         yield
     finally:
         torch.set_num_threads(threads)
-        torch.set_float32_matmul_precision(before)
+        torch.set_float32_matmul_precision(precision)

@@ -1,14 +1,13 @@
 """CrossQ for goal (Dict) observations."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import sb3_contrib
 import torch
 from sb3_contrib.crossq.policies import CrossQPolicy
-from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.torch_layers import CombinedExtractor
 
 
 class ObservationBatch(dict[str, torch.Tensor]):
@@ -25,50 +24,47 @@ class ObservationBatch(dict[str, torch.Tensor]):
         """Handle `torch.cat([batch, ...])`, and nothing else."""
         if function is not torch.cat:
             return NotImplemented
-        batches = args[0]
-        return cls(
-            {
-                key: torch.cat([batch[key] for batch in batches], *args[1:], **(kwargs or {}))
-                for key in batches[0]
-            }
-        )
+        batches, *rest = args
+        joined = cls()
+        for key in batches[0]:
+            joined[key] = torch.cat([batch[key] for batch in batches], *rest, **(kwargs or {}))
+        return joined
+
+
+class MultiInputPolicy(CrossQPolicy):
+    """CrossQ's policy for Dict observations."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        kwargs.setdefault("features_extractor_class", CombinedExtractor)
+        super().__init__(*args, **kwargs)
 
 
 class CrossQ(sb3_contrib.CrossQ):
-    """sb3_contrib's CrossQ with a MultiInputPolicy, so that it learns from goal observations, with
-    HER or without.
+    """sb3_contrib's CrossQ with a MultiInputPolicy, so that it learns from goal observations.
 
-    Upstream joins observations of a batch with `torch.cat`, which refuses dicts, and does not
-    implement
+    Upstream joins the observations of a batch with `torch.cat`, which refuses dicts, and has no
     MultiInputPolicy. Its arithmetic is unchanged: here batches are dicts that can be joined.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
         **sb3_contrib.CrossQ.policy_aliases,
-        "MultiInputPolicy": CrossQPolicy,
+        "MultiInputPolicy": MultiInputPolicy,
     }
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """Do `gradient_steps` updates on minibatches of the replay buffer."""
-        assert self.replay_buffer is not None
-        with _joinable_samples(self.replay_buffer):
+        buffer: Any = self.replay_buffer
+        sample = buffer.sample
+
+        def joinable(*args: Any, **kwargs: Any) -> Any:
+            data = sample(*args, **kwargs)
+            return data._replace(
+                observations=ObservationBatch(data.observations),
+                next_observations=ObservationBatch(data.next_observations),
+            )
+
+        buffer.sample = joinable
+        try:
             super().train(gradient_steps, batch_size)
-
-
-@contextmanager
-def _joinable_samples(buffer: ReplayBuffer) -> Iterator[None]:
-    sample = buffer.sample
-
-    def joinable(*args: Any, **kwargs: Any) -> Any:
-        data: Any = sample(*args, **kwargs)
-        observations, following = (
-            ObservationBatch(data.observations),
-            ObservationBatch(data.next_observations),
-        )
-        return data._replace(observations=observations, next_observations=following)
-
-    buffer.sample = joinable  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        del buffer.sample  # the class's own method is visible again
+        finally:
+            del buffer.sample  # the class's own method is visible again

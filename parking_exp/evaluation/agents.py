@@ -82,7 +82,7 @@ def find_agent(
     others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in PRETRAINED_NAMES)]
     directory = find_run(run, output_dir, having=f"models/{model}.zip", others=others)
     weights = directory.models / f"{model}.zip"
-    if not weights.exists():
+    if not weights.is_file():
         raise RunNotFoundError(
             f"run={run}: {weights} does not exist; the run is {directory.status}"
         )

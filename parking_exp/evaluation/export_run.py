@@ -15,6 +15,7 @@ from parking_exp.config.schema import LocalPath
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agent
+from parking_exp.runs.atomic_files import replacing
 from parking_exp.terminal import say
 
 
@@ -88,13 +89,14 @@ def _write(export: Export) -> None:
         say(f"run directory  {agent.directory.path}")
 
     from parking_exp.algorithms.policy_export import export_onnx
-    from parking_exp.algorithms.policy_files import save_policy
+    from parking_exp.algorithms.policy_files import export_safetensors
 
     model = agent.model(agent.config.env)
-    write = export_onnx if request.format == "onnx" else save_policy
+    content = export_onnx(model) if request.format == "onnx" else export_safetensors(model)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(model, path)
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
     except FileNotFoundError as error:  # there are no files, as in /proc
         raise OutputDirectoryError(f"path: {path} cannot be written: {error.strerror}") from error
     say(

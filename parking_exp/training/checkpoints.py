@@ -20,10 +20,10 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.fast.fast_training import FastTraining
-from parking_exp.algorithms.model_files import load_weights, write_zip
+from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.runs.atomic_files import fsync, sha256, write_json
+from parking_exp.runs.atomic_files import fsync, replacing, sha256, write_json
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, checkpoint_name, checkpoint_problem
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.terminal import say
@@ -35,6 +35,8 @@ ATTRIBUTES = (
     *("_last_obs", "_last_episode_starts"),
 )
 RECENT = ("ep_info_buffer", "ep_success_buffer")
+# Pickled entries for which `SAC.load` would require an env, because of the HER buffer.
+BUFFER_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 
 
 @dataclass
@@ -46,6 +48,16 @@ class SavedProgress:
     best: list[float] | None = None  # rank of the best evaluation so far
     cpu_s: float = 0.0  # time spent, earlier processes included
     wall_s: float = 0.0
+
+
+def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
+    """Save a model so that Stable-Baselines3 can load it.
+
+    Raises:
+        OSError: the disk is full; an earlier file is untouched.
+    """
+    with replacing(path) as temporary:
+        model.save(temporary, exclude=BUFFER_ENTRIES)
 
 
 def save(
@@ -64,7 +76,7 @@ def save(
     """
     target = directory / checkpoint_name(progress.step)
     with _new_directory(target) as folder:
-        write_zip(model, folder / MODEL)
+        model.save(folder / MODEL)
         with (folder / BUFFER).open("wb") as file:
             np.savez(file, allow_pickle=False, **_buffer_state(model.replay_buffer))
         if best.exists():

@@ -5,12 +5,12 @@ curves, video.
 import numpy as np
 import pandas as pd
 
-from parking_exp.algorithms.model_files import save_model
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CrossCheckError, VideoError
 from parking_exp.evaluation.evaluate_policy import describe_rates, find_differences
 from parking_exp.evaluation.video import record
 from parking_exp.tasks.metrics import EPISODE_SEED
+from parking_exp.training.checkpoints import save_model
 from parking_exp.training.loop import TrainingLoop, derive_seeds
 from parking_exp.training.plot_curves import plot_learning_curves
 

@@ -15,7 +15,6 @@ from hydra.utils import instantiate
 from stable_baselines3.common.callbacks import BaseCallback
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
-from parking_exp.algorithms.model_files import save_model
 from parking_exp.algorithms.normalization import UpdateNormalizer
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
@@ -34,7 +33,7 @@ from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints, rollout_state
-from parking_exp.training.checkpoints import SavedProgress
+from parking_exp.training.checkpoints import SavedProgress, save_model
 from parking_exp.training.loggers import make_logger
 from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.signals import StopRequest

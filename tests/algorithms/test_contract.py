@@ -54,7 +54,11 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp
 
 
 @pytest.mark.parametrize(
-    ("name", "lost"), [("ForgetsExtraNetwork", "curiosity"), ("SavesNothing", "all weights")]
+    ("name", "lost"),
+    [
+        ("ForgetsExtraNetwork", "curiosity"),
+        ("SavesNothing", "policy, actor, critic, critic_target"),
+    ],
 )
 def test_a_class_whose_files_would_lose_weights_is_refused(name, lost):
     with pytest.raises(ConfigError, match=rf"^{USER}\.{name}: .*{lost}$"):

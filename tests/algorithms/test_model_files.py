@@ -9,8 +9,9 @@ import torch
 from support.models import make_model
 from support.run_equality import leaves
 
-from parking_exp.algorithms.model_files import load_weights, save_model
+from parking_exp.algorithms.model_files import load_weights
 from parking_exp.errors import ModelError
+from parking_exp.training.checkpoints import save_model
 
 
 def built(*overrides, seed=0):
@@ -106,11 +107,3 @@ def test_a_file_of_another_model_is_refused(content, tmp_path, overrides, named)
     path.write_bytes(content)
     with pytest.raises(ModelError, match=rf"^{path} .*{named}"):
         load_weights(path, built(*overrides))
-
-
-@pytest.mark.parametrize("now", [0.0, 1.6e8, 5e9])  # 1970, 1975, 2128
-def test_a_wrong_clock_keeps_no_model_from_being_saved(model, tmp_path, now, monkeypatch):
-    monkeypatch.setattr("time.time", lambda: now)
-    save_model(model, tmp_path / "model.zip")
-    load_weights(tmp_path / "model.zip", model)
-    assert (tmp_path / "model.zip").stat().st_size > 1000

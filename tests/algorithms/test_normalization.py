@@ -8,8 +8,9 @@ import torch
 from gymnasium import spaces
 from support.models import make_model
 
-from parking_exp.algorithms.model_files import load_weights, save_model
+from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.normalization import KINDS, NormalizedExtractor, Normalizer
+from parking_exp.training.checkpoints import save_model
 
 SPACE = spaces.Dict({key: spaces.Box(-np.inf, np.inf, (2,), np.float64) for key in KINDS})
 
