@@ -102,7 +102,7 @@ def _buffer(config: RunConfig, env: VecEnv) -> dict[str, Any]:
     """Return the arguments of an algorithm that name its replay buffer."""
     buffer_class = get_class(config.buffer.target)
     arguments = dict(config.buffer.arguments)
-    if issubclass(buffer_class, HerBuffer) and env.has_attr("goal_reward"):
+    if issubclass(buffer_class, HerBuffer):
         (arguments["reward"],) = env.get_attr("goal_reward", 0)
     return {
         "buffer_size": config.buffer.buffer_size,

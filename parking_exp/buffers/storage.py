@@ -1,6 +1,4 @@
-"""Storage of transitions: all fields of one lie together, so that reading it is one memory
-access.
-"""
+"""Storage of transitions: all fields of one lie together, so that reading it is fast."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,11 +12,10 @@ from stable_baselines3.common.preprocessing import get_action_dim, get_obs_shape
 from parking_exp.buffers.episode_index import EpisodeIndex
 from parking_exp.tasks.task import Observation
 
-TERMINATED, FAILED, ID_SHIFT = (
-    1,
-    2,
-    2,
-)  # bits of `mark`; above them is the id of the episode's record
+# Bits of `mark`. Above them is the id of the episode's record.
+TERMINATED = 1
+FAILED = 2
+ID_SHIFT = 2
 
 
 @dataclass
@@ -36,16 +33,15 @@ class Transitions:
 
 
 class Storage:
-    """Ring buffer of `capacity` rows, each with one transition of each of `n_envs` envs, and the
-    index of its episodes.
+    """Ring buffer of `capacity` rows, and the index of its episodes.
 
-    Compact storage leaves out an achieved goal that equals the observation, as in parking-v0, and a
-    desired goal that is constant within an episode, whose record has it. The first transition that
-    violates this widens all rows.
+    A row has one transition of each of `n_envs` envs. Compact storage leaves out an achieved goal
+    that equals the observation, as in parking-v0, and a desired goal that is constant within an
+    episode, whose record has it. The first transition that violates this widens all rows.
 
-    A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark; its
-    episode's record, 56. If K vehicles make the observation wider than a goal, it takes 304 + 80 K
-    bytes.
+    A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark. The record
+    of its episode takes 56. If K vehicles make the observation wider than a goal, a transition
+    takes 304 + 80 K bytes.
     """
 
     def __init__(
@@ -56,33 +52,24 @@ class Storage:
         action_space: spaces.Space,
         n_info: int = 0,
     ) -> None:
-        shapes: dict[str, tuple[int, ...]] = get_obs_shape(observation_space)  # type: ignore[assignment]
-        self.formats = {
-            key: (space.dtype, shapes[key]) for key, space in observation_space.spaces.items()
-        }
-        self.episodes = EpisodeIndex(capacity, n_envs, *self.formats["desired_goal"])
-        self._action = (
-            ReplayBuffer._maybe_cast_dtype(action_space.dtype),
-            (get_action_dim(action_space),),
-        )
-        self._n_info = n_info
+        shapes: Any = get_obs_shape(observation_space)
+        self.formats = {key: (box.dtype, shapes[key]) for key, box in observation_space.items()}
+        self.episodes = EpisodeIndex(capacity, n_envs, self.formats["desired_goal"])
+        action_dtype = ReplayBuffer._maybe_cast_dtype(action_space.dtype)
+        self._other_fields: list[Any] = [
+            ("action", action_dtype, get_action_dim(action_space)),
+            ("info", np.float64, (n_info,)),
+            ("reward", np.float32),
+            ("mark", np.uint32),
+        ]
         self._allocate(compact=self.formats["achieved_goal"] == self.formats["observation"])
 
     def cast(self, obs: Mapping[str, Any]) -> Observation:
         """Return observations with the types and shapes of the space, each entry (n_envs, ...)."""
-        return {
-            key: np.asarray(obs[key], dtype).reshape(self.episodes.n_envs, *shape)
-            for key, (dtype, shape) in self.formats.items()
-        }
-
-    def other_goals(self, obs: Observation) -> np.ndarray:
-        """Return the envs whose desired goal changed within their episode; empty if storage is not
-        compact.
-        """
-        if not self.compact or not self.episodes.steps:
-            return np.empty(0, np.int64)
-        differs = obs["desired_goal"] != self.episodes.table["goal"][self.episodes.current]
-        return np.flatnonzero(differs.reshape(len(differs), -1).any(axis=1))
+        entries = {}
+        for key, (dtype, shape) in self.formats.items():
+            entries[key] = np.asarray(obs[key], dtype).reshape(self.episodes.n_envs, *shape)
+        return entries
 
     def write(
         self,
@@ -96,94 +83,90 @@ class Storage:
         info: np.ndarray,
     ) -> None:
         """Write a row: a transition of each env, in the episodes under way."""
-        record_ids = self.episodes.current
-        if self.compact and not (
-            np.array_equal(obs["achieved_goal"], obs["observation"])
-            and np.array_equal(next_obs["achieved_goal"], next_obs["observation"])
-            and np.array_equal(next_obs["desired_goal"], self.episodes.table["goal"][record_ids])
-        ):
+        if self.compact and not (self._is_compact(obs) and self._is_compact(next_obs)):
             self._widen()
         rows = self.data[row]
-        for name, entries in (("obs", obs), ("next_obs", next_obs)):
-            stored = rows[name]
-            for key in stored.dtype.names or ():
-                stored[key] = entries[key]
+        for key in rows["obs"].dtype.names or ():
+            rows["obs"][key] = obs[key]
+            rows["next_obs"][key] = next_obs[key]
         rows["action"] = np.reshape(action, rows["action"].shape)
         rows["reward"] = reward
         rows["info"] = info
+        record_ids = self.episodes.current
         rows["mark"] = record_ids << ID_SHIFT | failed * FAILED | terminated * TERMINATED
 
     def record_ids(self, row: int) -> np.ndarray:
         """Return the record ids of a row's episodes, shape (n_envs,)."""
         return self.data["mark"][row] >> ID_SHIFT
 
-    def end(self, row: int, env: int, terminated: bool) -> None:
-        """Note how a transition ends its episode."""
-        mark = self.data["mark"]
-        mark[row, env] = mark[row, env] // FAILED * FAILED | terminated * TERMINATED
-
     def take(self, index: np.ndarray) -> Transitions:
         """Return transitions by index, row * n_envs + env, as a copy."""
         rows = self.data.reshape(-1).take(index)
         mark = rows["mark"]
         records = self.episodes.table.take(mark >> ID_SHIFT)
-        obs, next_obs = (
+        return Transitions(
             self._observation(rows["obs"], records),
             self._observation(rows["next_obs"], records),
-        )
-        ended, failed = mark & TERMINATED > 0, mark & FAILED > 0
-        return Transitions(
-            obs, next_obs, rows["action"], rows["reward"], ended, failed, rows["info"], records
+            rows["action"],
+            rows["reward"],
+            mark & TERMINATED > 0,
+            mark & FAILED > 0,
+            rows["info"],
+            records,
         )
 
     def achieved(self, index: np.ndarray) -> np.ndarray:
         """Return what transitions achieved: their next achieved goals, as a copy."""
-        return self.data.reshape(-1)["next_obs"][
-            "observation" if self.compact else "achieved_goal"
-        ][index]
+        key = "observation" if self.compact else "achieved_goal"
+        return self.data.reshape(-1)["next_obs"][key][index]
 
     def failed(self, index: np.ndarray) -> np.ndarray:
         """Return whether episodes failed at transitions, by index."""
-        return (
-            self.data.reshape(-1)["mark"][index] & FAILED > 0
-        )  # `take` would copy the marks of all rows first
+        # `take` would copy the marks of all rows first.
+        return self.data.reshape(-1)["mark"][index] & FAILED > 0
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return everything as arrays, the filled part of the rows uncopied."""
-        return {"rows": self.data[: self.episodes.steps], "compact": np.array(self.compact)}
+        """Return everything as arrays, uncopied."""
+        rows = self.data[: self.episodes.steps]
+        return {"rows": rows, "compact": np.array(self.compact), **self.episodes.get_state()}
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Restore a state of as many rows and envs."""
         self._allocate(bool(state["compact"]))
         self.data[: len(state["rows"])] = state["rows"]
+        self.episodes.set_state(state)
 
     def _allocate(self, compact: bool) -> None:
         self.compact = compact
-        left_out = {"achieved_goal", "desired_goal"} if compact else set()
-        observed = [(key, *form) for key, form in self.formats.items() if key not in left_out]
-        fields = [("obs", observed), ("next_obs", observed), ("action", *self._action)]
-        numbers = [
-            ("info", np.float64, (self._n_info,)),
-            ("reward", np.float32),
-            ("mark", np.uint32),
-        ]
-        dtype = np.dtype([*fields, *numbers])
+        observed = [(key, *form) for key, form in self.formats.items()]
+        if compact:
+            left_out = ("achieved_goal", "desired_goal")
+            observed = [field for field in observed if field[0] not in left_out]
+        dtype = np.dtype([("obs", observed), ("next_obs", observed), *self._other_fields])
         self.data = np.zeros((self.episodes.capacity, self.episodes.n_envs), dtype)
+
+    def _is_compact(self, obs: Observation) -> bool:
+        """Return whether observations of the episodes under way may be stored compactly."""
+        goals = self.episodes.table["goal"][self.episodes.current]
+        return np.array_equal(obs["achieved_goal"], obs["observation"]) and np.array_equal(
+            obs["desired_goal"], goals
+        )
 
     def _widen(self) -> None:
         narrow = self.data
         self._allocate(compact=False)
-        for name in ("action", "info", "reward", "mark"):
+        for name, *_ in self._other_fields:
             self.data[name] = narrow[name]
-        records = self.episodes.table[narrow["mark"] >> ID_SHIFT]
+        goals = self.episodes.table["goal"][narrow["mark"] >> ID_SHIFT]
         for name in ("obs", "next_obs"):
             for key in narrow[name].dtype.names or ():
                 self.data[name][key] = narrow[name][key]
             self.data[name]["achieved_goal"] = narrow[name]["observation"]
-            self.data[name]["desired_goal"] = records["goal"]
+            self.data[name]["desired_goal"] = goals
 
     def _observation(self, stored: np.ndarray, records: np.ndarray) -> Observation:
         entries = {key: stored[key] for key in stored.dtype.names or ()}
         if self.compact:
-            entries |= {"achieved_goal": entries["observation"], "desired_goal": records["goal"]}
+            entries["achieved_goal"] = entries["observation"]
+            entries["desired_goal"] = records["goal"]
         return {key: entries[key] for key in self.formats}

@@ -1,25 +1,27 @@
-"""Goal-selection strategies of HER: future, final, episode, random (Andrychowicz et al. 2017,
-section 4.5).
+"""Goal-selection strategies of HER (Andrychowicz et al. 2017, section 4.5).
+
+Each takes a random generator, the index of episodes, the indices of transitions, and the records of
+their episodes in `EpisodeIndex.table`, both of shape (n,). It returns the indices of the
+transitions whose next achieved goals become the virtual goals, shape (n,).
 """
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
 from parking_exp.buffers.episode_index import EpisodeIndex
 
+GoalStrategy = Literal["future", "final", "episode", "random"]
 Strategy = Callable[[np.random.Generator, EpisodeIndex, np.ndarray, np.ndarray], np.ndarray]
 
 
 def future(
     rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray
 ) -> np.ndarray:
-    """Take goals from the rest of the same episode, the transition itself included, as
-    Stable-Baselines3 does.
+    """Take goals from the rest of the same episode.
 
-    `index` are transitions and `record` their episodes in `episodes.table`, both of shape (n,).
-    Returns the indices of the transitions whose next achieved goals become the virtual goals, shape
-    (n,).
+    As in Stable-Baselines3, the transition itself is included.
     """
     row, env = np.divmod(index, episodes.n_envs)
     passed = (row - record["start"]) % episodes.capacity
@@ -29,7 +31,7 @@ def future(
 def final(
     rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray
 ) -> np.ndarray:
-    """Take the last goal of the same episode; see `future`."""
+    """Take the last goal of the same episode."""
     last = record["length"].astype(np.int64) - 1
     return episodes.index(record["start"] + last, index % episodes.n_envs)
 
@@ -37,22 +39,20 @@ def final(
 def episode(
     rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray
 ) -> np.ndarray:
-    """Take goals from anywhere in the same episode; see `future`."""
+    """Take goals from anywhere in the same episode."""
     return episodes.index(record["start"] + rng.integers(record["length"]), index % episodes.n_envs)
 
 
 def random(
     rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray
 ) -> np.ndarray:
-    """Take goals from all stored transitions, episodes under way included; see `future`."""
+    """Take goals from all stored transitions, episodes under way included."""
     return episodes.draw_stored(rng, len(index))
 
 
-STRATEGIES: dict[str, Strategy] = {
+STRATEGIES: dict[GoalStrategy, Strategy] = {
     "future": future,
     "final": final,
     "episode": episode,
     "random": random,
 }
-"""Values of `buffer.goal_selection_strategy`. A new one: a name in `config.argument_limits`, a
-function of that name here, and a file in conf/buffer."""

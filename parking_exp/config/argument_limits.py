@@ -17,16 +17,8 @@ def _check_initial_value(coefficient: str) -> str:
     return coefficient
 
 
-GoalStrategy = Literal["future", "final", "episode", "random"]
-RelabelCollision = Literal["keep", "sb3", "exclude"]
-RelabelTerminated = Literal["sb3", "goal", "goal_and_crash", "env"]
-GoalVelocity = Literal["achieved", "zero"]
-# Arguments of `HerBuffer` that say how transitions are relabelled, with their choices.
-RELABEL_OPTIONS: dict[str, Any] = {
-    "relabel_collision": RelabelCollision,
-    "relabel_terminated": RelabelTerminated,
-    "goal_velocity": GoalVelocity,
-}
+# Arguments of `HerBuffer` that say how transitions are relabelled.
+RELABEL_OPTIONS = ("relabel_collision", "relabel_terminated", "goal_velocity")
 # Arguments that have no effect without virtual goals.
 HER_OPTIONS = ("n_sampled_goal", *RELABEL_OPTIONS)
 
@@ -51,8 +43,6 @@ LIMITS: dict[str, Any] = {
     "stats_window_size": Count,
     "top_quantiles_to_drop_per_net": NonNegativeInt,
     "n_sampled_goal": Count,
-    "goal_selection_strategy": GoalStrategy,
-    **RELABEL_OPTIONS,
     "n_critics": Annotated[int, Field(ge=1, le=100)],
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
     "weight_decay": NonNegativeFloat,

@@ -9,7 +9,7 @@ import inspect
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from types import NoneType
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -39,6 +39,7 @@ MIRRORED_POLICIES = (
     "stable_baselines3.sac.MultiInputPolicy",
     "stable_baselines3.td3.MultiInputPolicy",
 )
+PLAIN_TYPES = (int, float, bool, str, NoneType)
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps"}
@@ -231,10 +232,11 @@ def _check_value(
     key: str, value: Any, parameter: inspect.Parameter, limits: Mapping[str, Any]
 ) -> Iterator[str]:
     """Check a value against its range, or else its annotation where that is a plain type."""
-    types = set(get_args(parameter.annotation)) or {parameter.annotation}
-    limit = limits.get(
-        parameter.name, parameter.annotation if types <= {int, float, bool, str, NoneType} else Any
-    )
+    annotation = parameter.annotation
+    is_literal = get_origin(annotation) is Literal
+    types = {annotation} if is_literal else set(get_args(annotation)) or {annotation}
+    is_plain = all(part in PLAIN_TYPES or get_origin(part) is Literal for part in types)
+    limit = limits.get(parameter.name, annotation if is_plain else Any)
     if value is None and (NoneType in types or parameter.name in NULLABLE):
         return
     try:

@@ -40,7 +40,7 @@ def memory(capacity: int) -> dict[str, Any]:
     return {"value": value, "lowest": value, "highest": value, "rounds": 1}
 
 
-def _sampling(buffer: HerReplayBuffer, samples: int) -> Side:
+def _sampling(buffer: HerBuffer | HerReplayBuffer, samples: int) -> Side:
     def sample() -> float:
         for _ in range(samples):
             buffer.sample(BATCH)
@@ -56,8 +56,12 @@ def _filled(cls: Any, capacity: int, transitions: int) -> Any:
     """
     config: Any = compose().env
     env = ParkingVecEnv(config, N_ENVS)
-    options = {"reward": ParkingReward.of(config.for_training())} if cls is HerBuffer else {}
-    buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", N_ENVS, **options)
+    options: dict[str, Any] = {"env": env}
+    if cls is HerBuffer:
+        options = {"reward": ParkingReward.of(config.for_training())}
+    buffer = cls(
+        capacity, env.observation_space, env.action_space, device="cpu", n_envs=N_ENVS, **options
+    )
     recorded = _recorded()
     for step in range(transitions // N_ENVS):
         buffer.add(*recorded[step % len(recorded)])

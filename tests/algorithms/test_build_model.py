@@ -7,10 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 from stable_baselines3.common.torch_layers import CombinedExtractor
-from stable_baselines3.common.vec_env import DummyVecEnv
 from support.marks import slow_but
 from support.models import make_model
-from support.reach import Reach
 from support.runs import make_config, options
 
 from parking_exp.algorithms.build_model import build_model, torch_settings
@@ -23,15 +21,6 @@ SMALL = ("experiment=smoke", "tracking.mlflow=false")
 
 def built(*overrides, seed=0):
     return make_model(*SMALL, *overrides, seed=seed)
-
-
-def test_what_needs_the_envs_reward_is_refused_for_an_env_that_has_none():
-    with pytest.raises(ConfigError, match="relabel_collision"):
-        build_model(
-            make_config(*SMALL, "buffer.relabel_collision=keep"),
-            DummyVecEnv([Reach, Reach]),
-            seed=0,
-        )
 
 
 @pytest.mark.parametrize("simulator", slow_but(["vectorized"], ["vectorized", "highway_env"]))

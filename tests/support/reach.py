@@ -14,6 +14,18 @@ points on it is near enough with a probability of at most (2 * TOLERANCE / 2) **
 """
 
 
+class ReachReward:
+    """Reward of a step of `Reach` with a goal, and whether it is reached."""
+
+    failure_penalty, failure_key = 0.0, None
+    info_keys = velocity = ()
+    terminates = True
+
+    def __call__(self, achieved, desired, info=None):
+        reached = np.abs(achieved - desired).max(axis=-1) <= TOLERANCE
+        return np.where(reached, 0.0, -1.0), reached
+
+
 class Reach(gym.Env):
     """A point in a cube of side 2 that must come within TOLERANCE of a goal, in each coordinate,
     within STEPS steps.
@@ -29,6 +41,7 @@ class Reach(gym.Env):
         }
     )
     action_space = gym.spaces.Box(-1, 1, (DIMENSIONS,), np.float32)
+    goal_reward = ReachReward()
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -39,17 +52,9 @@ class Reach(gym.Env):
     def step(self, action):
         self.point = np.clip(self.point + STRIDE * np.asarray(action, dtype=float), -1, 1)
         self.steps += 1
-        reward = float(self.compute_reward(self.point, self.goal, {}))
-        return (
-            self._observe(),
-            reward,
-            reward == 0,
-            self.steps >= STEPS,
-            {"is_success": reward == 0},
-        )
-
-    def compute_reward(self, achieved_goal, desired_goal, info):
-        return np.where(np.abs(achieved_goal - desired_goal).max(axis=-1) <= TOLERANCE, 0.0, -1.0)
+        reward, reached = self.goal_reward(self.point, self.goal)
+        is_over = self.steps >= STEPS
+        return self._observe(), float(reward), bool(reached), is_over, {"is_success": reached}
 
     def _observe(self):
         return {
