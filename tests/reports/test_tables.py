@@ -146,9 +146,9 @@ def test_pandas_and_latex_read_the_files(example, tmp_path):
         )
         assert len(parts) == text.count(r"\caption{") > 0
         for part in parts:
-            assert not unescaped(re.search(r"\\caption\{(.*)\}\\label", part)[1], "%#_&")
-            n_columns = len(re.findall(r"p\{[\d.]+em\}", part))
-            rows = [line for line in part.splitlines() if line.endswith(r" \\")]
+            assert not unescaped(re.search(r"\\caption\{(.*)\}", part)[1], "%#_&")
+            n_columns = part.count(r"p{\dimexpr")
+            rows = [line for line in part.splitlines() if re.search(r"(?<!\}) \\\\$", line)]
             assert len(rows) == len(tables[path.stem].rows) + part.count(r"\toprule")
             for row in rows:
                 assert len(unescaped(row, "&")) == n_columns - 1
@@ -210,13 +210,8 @@ def test_latex_tables_fit_an_article(example, size, tmp_path):
 
 def test_a_long_latex_table_is_split_over_pages_and_a_wide_one_into_parts(tmp_path):
     write_tables(section_contents(long_names(12)), tmp_path)
-    pairs, config, headline = (
-        (tmp_path / f"{name}.tex").read_text() for name in ("pairs", "config", "headline")
-    )
-    n_parts = pairs.count(r"\caption{")
-    assert pairs.count(r"\begin{longtable}") == pairs.count(r"\endhead") == n_parts
+    pairs, config = ((tmp_path / f"{name}.tex").read_text() for name in ("pairs", "config"))
+    assert pairs.count(r"\begin{longtable}") == pairs.count(r"\endhead") == 1
     assert r"\begin{table}" not in pairs
     assert r"\label{tab:config}" in config and r"\label{tab:config_2}" in config
-    assert config.count("Setting & ") == config.count(r"\toprule") > 1
-    for text in (pairs, config, headline):
-        assert text.count(r"\centering") == text.count("\\small\n") == text.count(r"\caption{")
+    assert config.count(r"\caption{Continued.}") == config.count(r"\label{") - 1
