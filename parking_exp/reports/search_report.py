@@ -1,5 +1,4 @@
-"""The hyperparameter search of a report: read from its experiment's folder, in sentences and
-tables.
+"""The hyperparameter search of a report: read from its folder, in sentences and tables.
 
 Optuna is imported only if an experiment has a search.
 """
@@ -19,14 +18,13 @@ from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import Table, column, interval_column, record, spread
 from parking_exp.statistics import Interval, SeedRates, compare, mean_interval
-from parking_exp.tuning.search import SEARCH_FILE, study_in
+from parking_exp.tuning.search import study_in
 from parking_exp.tuning.trials import (
     OBJECTIVE,
     RETEST_FILE,
     RetestedTrial,
     TrialRow,
-    count_states,
-    plain_choice,
+    describe_states,
     rank_trials,
     read_retest,
 )
@@ -61,28 +59,26 @@ class Tuning:
 
 
 def add_search(report: ReportData, output_dir: Path) -> ReportData:
-    """Return a report with the first search of its experiments, or a warning where that cannot be
-    read.
-    """
-    folders = [output_dir / name for name in report.experiments if re.fullmatch(NAME, name)]
-    folder = next((folder for folder in folders if (folder / SEARCH_FILE).exists()), None)
-    if folder is None:
-        return report
-    try:
-        stored = study_in(folder)
-        return add_tuning(report, read_tuning(folder, stored)) if stored else report
-    except ParkingError as error:
-        warning = f"The search of {folder.name} is left out: {first_line(error).rstrip('.')}."
-        return replace(report, warnings=[*report.warnings, warning])
+    """Return a report with the first search of its experiments, or with a warning about it."""
+    names = [name for name in report.experiments if re.fullmatch(NAME, name)]
+    for folder in [output_dir / name for name in names]:
+        try:
+            stored = study_in(folder)
+            if stored is not None:
+                return add_tuning(report, read_tuning(folder, stored))
+        except ParkingError as error:
+            warning = f"The search of {folder.name} is left out: {first_line(error).rstrip('.')}."
+            return replace(report, warnings=[*report.warnings, warning])
+    return report
 
 
 def add_tuning(report: ReportData, tuning: Tuning) -> ReportData:
-    """Return a report with a search, a claim on its retrained trials, and a warning about comparing
-    its cells.
-    """
-    claims, remedy = [*report.claims], "none was retrained on test seeds"
+    """Return a report with a search, what it found, and a warning about comparing its cells."""
+    claims = [*report.claims]
+    remedy = "none was retrained on test seeds"
     if tuning.retested:
-        best, remedy = tuning.retested[0], "compare the trials retrained on test seeds"
+        best = tuning.retested[0]
+        remedy = "compare the trials retrained on test seeds"
         claims.insert(
             0,
             f"On {plural(len(best.test), 'test seed')}, “{best.label}” is the best of "
@@ -98,17 +94,18 @@ def add_tuning(report: ReportData, tuning: Tuning) -> ReportData:
 
 
 def read_tuning(folder: Path, stored: "StoredSearch") -> Tuning:
-    """Return the search in an experiment's folder; ResultsError if its retrained trials are
-    damaged.
+    """Return the search in an experiment's folder, with its retrained trials.
+
+    Raises:
+        ResultsError: these are damaged.
     """
+    from optuna.distributions import distribution_to_json
+
     try:
         retested = read_retest(folder)
     except ValidationError as error:
         raise ResultsError(f"{folder.name}/{RETEST_FILE} can't be read") from error
     search = stored.search
-    distributions: dict[str, Any] = {}
-    for trial in stored.study.get_trials(deepcopy=False):
-        distributions |= trial.distributions
     return Tuning(
         experiment=folder.name,
         sampler=search.sampler,
@@ -117,21 +114,12 @@ def read_tuning(folder: Path, stored: "StoredSearch") -> Tuning:
         objective=OBJECTIVE,
         n_seeds=len(search.tuning_seeds),
         parameters={
-            name: _describe_distribution(distribution)
-            for name, distribution in distributions.items()
+            name: json.loads(distribution_to_json(dimension.distribution()))
+            for name, dimension in search.space.items()
         },
         trials=stored.trials,
         retested=retested,
     )
-
-
-def _describe_distribution(distribution: Any) -> Mapping[str, Any]:
-    from optuna.distributions import distribution_to_json
-
-    description: dict[str, Any] = json.loads(distribution_to_json(distribution))
-    if choices := description["attributes"].get("choices"):
-        description["attributes"]["choices"] = list(dict.fromkeys(map(plain_choice, choices)))
-    return description
 
 
 def _compare_seeds(trial: RetestedTrial) -> Interval:
@@ -144,12 +132,9 @@ def describe_search(report: ReportData) -> Iterator[str]:
     tuning = report.tuning
     if tuning is None:
         return
-    by_state = count_states(tuning.trials)
-    by_state["pending"] += tuning.n_trials - len(tuning.trials)
-    states = ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
     text = (
         f"{plural(tuning.n_trials, 'trial')} (sampler {tuning.sampler}, pruner "
-        f"{tuning.pruner or 'none'}): {states}. "
+        f"{tuning.pruner or 'none'}): {describe_states(tuning.trials, tuning.n_trials)}. "
         f"Objective: {tuning.objective}, mean over {plural(tuning.n_seeds, 'tuning seed')}."
     )
     for best in rank_trials(tuning.trials)[:1]:
@@ -162,52 +147,32 @@ def trial_table(report: ReportData) -> Iterator[Table]:
     tuning = report.tuning
     if tuning is None:
         return
-    parameters = dict.fromkeys(tuning.parameters)
-    rows = [
-        {
-            tuning.objective: trial.value,
-            **parameters,
-            **trial.parameters,
-            **record(trial),
-            "label": trial.label,
-        }
-        for trial in tuning.trials
+    columns = [
+        column("Trial", "number", formats.number, numeric=False),
+        column("State", "state", numeric=False),
+        column(tuning.objective, tuning.objective, formats.percent),
     ]
-    is_number = {
-        name: kind.get("name") != "CategoricalDistribution"
-        for name, kind in tuning.parameters.items()
-    }
-    yield Table(
-        "trials",
-        rows,
-        [
-            column("Trial", "number", formats.number, numeric=False),
-            column("State", "state", numeric=False),
-            column(tuning.objective, tuning.objective, formats.percent),
-            *(
-                column(name, name, _write_parameter, numeric=is_number[name])
-                for name in tuning.parameters
-            ),
-            *(
-                [column("Why it failed", "reason", numeric=False)]
-                if any(row["reason"] for row in rows)
-                else []
-            ),
-        ],
-        f"Trials: means over {tuning.n_seeds} tuning seeds (%), and parameters.",
-        latex=True,
-    )
+    for name, distribution in tuning.parameters.items():
+        is_number = distribution.get("name") != "CategoricalDistribution"
+        columns.append(column(name, name, _write_parameter, numeric=is_number))
+    if any(trial.reason for trial in tuning.trials):
+        columns.append(column("Why it failed", "reason", numeric=False))
+
+    rows = []
+    for trial in tuning.trials:
+        row: dict[str, Any] = {tuning.objective: trial.value}
+        row |= dict.fromkeys(tuning.parameters)
+        row |= trial.parameters
+        rows.append(row | record(trial) | {"label": trial.label})
+    caption = f"Trials: means over {tuning.n_seeds} tuning seeds (%), and parameters."
+    yield Table("trials", rows, columns, caption, latex=True)
 
 
 def _write_parameter(value: Any) -> str:
     """Write a parameter, which trial 0 may lack."""
-    return (
-        ""
-        if value is None
-        else f"{value:.3g}"
-        if isinstance(value, float)
-        else formats.setting(value)
-    )
+    if value is None:
+        return ""
+    return f"{value:.3g}" if isinstance(value, float) else formats.setting(value)
 
 
 def retest_table(report: ReportData) -> Iterator[Table]:
@@ -215,30 +180,22 @@ def retest_table(report: ReportData) -> Iterator[Table]:
     tuning = report.tuning
     if tuning is None or not tuning.retested:
         return
-    rows = [
-        {
-            "number": trial.number,
-            "label": trial.label,
-            "n_tuning": len(trial.tuning),
-            "n_test": len(trial.test),
-            **spread("tuning", mean_interval(trial.tuning)),
-            **spread("test", mean_interval(trial.test)),
-            **spread("difference", _compare_seeds(trial)),
-        }
-        for trial in tuning.retested
+    rows = []
+    for trial in tuning.retested:
+        row: dict[str, Any] = {"number": trial.number, "label": trial.label}
+        row |= {"n_tuning": len(trial.tuning), "n_test": len(trial.test)}
+        row |= spread("tuning", mean_interval(trial.tuning))
+        row |= spread("test", mean_interval(trial.test))
+        rows.append(row | spread("difference", _compare_seeds(trial)))
+    columns = [
+        column("Trial", "label", numeric=False),
+        interval_column("Tuning seeds", "tuning"),
+        interval_column("Test seeds", "test"),
+        interval_column("Tuning minus test", "difference", formats.points_interval),
     ]
-    yield Table(
-        "retest",
-        rows,
-        [
-            column("Trial", "label", numeric=False),
-            interval_column("Tuning seeds", "tuning"),
-            interval_column("Test seeds", "test"),
-            interval_column("Tuning minus test", "difference", formats.points_interval),
-        ],
+    caption = (
         "The best trials and trial 0, the unchanged config, trained again on seeds that no trial "
-        "was selected by: "
-        f"{tuning.objective} (%), with 95 % intervals. Values on tuning seeds are optimistic for "
-        "the best of many.",
-        latex=True,
+        f"was selected by: {tuning.objective} (%), with 95 % intervals. Values on tuning seeds are "
+        "optimistic for the best of many."
     )
+    yield Table("retest", rows, columns, caption, latex=True)

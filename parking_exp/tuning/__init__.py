@@ -1,3 +1,1 @@
-"""Hyperparameter searches: Optuna over composed configs, trained by the launchers and supervisors
-of sweeps.
-"""
+"""Hyperparameter searches: Optuna over composed configs, trained as sweeps train their runs."""

@@ -1,6 +1,4 @@
-"""Run a search: print its plan, train its trials, retrain the best on test seeds, write the
-winner.
-"""
+"""Run a search: train its trials, retrain the best on test seeds, and write the winner."""
 
 import itertools
 import shlex
@@ -49,103 +47,97 @@ POLL_S = 1.0
 
 
 def tune(search: Search, launcher: Launcher) -> None:
-    """Train the remaining trials of a search, retrain the best on test seeds, and write the
-    winner.
-    """
+    """Train the remaining trials, retrain the best on test seeds, and write the winner."""
     if not isinstance(launcher, LocalLauncher):
         raise ConfigError(
             "a search trains on this machine; leave out hydra/launcher, and start it on several "
             "machines"
         )
     search.check()
-    out, request = console(), search.request
-    n_trials, n_workers = request.n_trials, request.n_workers or launcher.n_jobs
+    out = console()
+    request = search.request
+    n_workers = request.n_workers or launcher.n_jobs
     stored = study_in(search.folder)
-    trials = stored.trials[:n_trials] if stored else []
+    trials = stored.trials[: request.n_trials] if stored else []
     _describe(search, trials, n_workers, out)
     if request.dry_run:
         return
+
     study = search.open().study
     search.save()
-    if _n_left(trials, n_trials):
+    if _count_left(trials, request.n_trials):
         trials = _train(search, study, n_workers)
-    out.print(progress_table(trials), *progress_lines(trials, n_trials), sep="\n")
-    if not count_states(trials)["done"]:
-        reason = next((trial.reason for trial in trials if trial.reason), "all were pruned")
-        raise FailedRunError(f"no trial is done; the first reason: {reason}")
+    out.print(progress_table(trials), *progress_lines(trials, request.n_trials), sep="\n")
+    if not rank_trials(trials):
+        reasons = [trial.reason for trial in trials if trial.reason] or ["all were pruned"]
+        raise FailedRunError(f"no trial is done; the first reason: {reasons[0]}")
     if request.search.n_retest:
         write_winner(search, _retest(search, trials, launcher), out)
     else:
-        out.print(
-            "search.n_retest=0: no trial is trained on test seeds, and no experiment file is "
-            "written"
-        )
+        out.print("search.n_retest=0: no trial is retrained, and no experiment file is written")
 
 
-def _n_left(trials: Sequence[TrialRow], n_trials: int) -> int:
-    """Return how many trials remain."""
+def _count_left(trials: Sequence[TrialRow], n_trials: int) -> int:
     return n_trials - sum(trial.state in ("done", "pruned", "failed") for trial in trials)
 
 
 def _describe(search: Search, trials: Sequence[TrialRow], n_workers: int, out: Console) -> None:
     """Print the space, the budget and the progress."""
-    request, settings = search.request, search.request.search
+    request = search.request
+    settings = request.search
     for key, dimension in settings.space.items():
         out.print(f"{key}: {dimension}")
     out.print(f"sampler {settings.sampler}, pruner {settings.pruner or 'none'}")
-    left = _n_left(trials, request.n_trials)
+    n_left = _count_left(trials, request.n_trials)
     out.print(
         f"{plural(request.n_trials, 'trial')} x {plural(len(settings.tuning_seeds), 'seed')} x "
         f"{search.base.total_timesteps:,} env steps at most, {plural(n_workers, 'trial')} at a "
-        "time: "
-        f"{request.n_trials - left} trials over, {left} to do"
+        f"time: {request.n_trials - n_left} trials over, {n_left} to do"
     )
 
 
 def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
-    """Train while trials are left, wait for trials of other processes, and sync the store in the
-    end.
-    """
-    base, n_trials = search.base, search.request.n_trials
-    names = {f"seed={seed}" for seed in search.request.search.tuning_seeds}
+    """Train while trials are left, also those of other processes, and sync the store."""
+    base = search.base
+    request = search.request
+    names = {f"seed={seed}" for seed in request.search.tuning_seeds}
 
     def runs() -> list[Path]:
-        return [
-            path for path in find_runs(base.output_path, base.experiment_name) if path.name in names
-        ]
+        paths = find_runs(base.output_path, base.experiment_name)
+        return [path for path in paths if path.name in names]
 
-    with Monitor(runs, n_trials * len(names)) as monitor, StoreWriter(runs, [base], monitor.say):
-        while left := _n_left(trials := read_trials(study, search.folder, n_trials), n_trials):
-            if (free := left - count_states(trials)["running"]) > 0:
-                run_workers(partial(work, search), min(n_workers, free))
+    n_runs = request.n_trials * len(names)
+    with Monitor(runs, n_runs) as monitor, StoreWriter(runs, [base], monitor.say):
+        while True:
+            trials = read_trials(study, search.folder, request.search.space, request.n_trials)
+            n_left = _count_left(trials, request.n_trials)
+            if not n_left:
+                return trials
+            n_free = n_left - count_states(trials)["running"]
+            if n_free > 0:
+                run_workers(partial(work, search), min(n_workers, n_free))
             else:
                 time.sleep(POLL_S)
-    return trials
 
 
 def _retest(search: Search, trials: Sequence[TrialRow], launcher: Launcher) -> list[RetestedTrial]:
-    """Train trial 0 and the best trials on the test seeds, as a sweep, and store the results, best
-    first.
-    """
-    request, planned = search.request, list[PlannedRun]()
+    """Train trial 0 and the best on the test seeds, as a sweep; store the results, best first."""
+    request = search.request
     candidates = choose_trials(trials, request.search.n_retest)
+    planned = []
     for seed, trial in itertools.product(request.search.test_seeds, candidates):
         config = search.config(trial.changes).model_copy(update={"seed": seed})
+        path = config.run_dir
         entries = {"search": search.folder.name, "trial": trial.number}
-        state = read_state(config.run_dir)
-        planned.append(
-            PlannedRun(
-                config, config.run_dir, trial.label, state, request.retry is not None, entries
-            )
-        )
+        is_retried = request.retry is not None
+        state = read_state(path)
+        planned.append(PlannedRun(config, path, trial.label, state, is_retried, entries))
     sweep(planned, launcher)
+
     retested = []
     for trial in candidates:
-        test = [
-            success_auc(RunDirectory(run.path))
-            for run in planned
-            if run.entries["trial"] == trial.number
-        ]
+        paths = [run.path for run in planned if run.entries["trial"] == trial.number]
+        test = [success_auc(RunDirectory(path)) for path in paths]
         retested.append(
             RetestedTrial(trial.number, trial.label, trial.changes, list(trial.by_seed), test)
         )
@@ -155,48 +147,51 @@ def _retest(search: Search, trials: Sequence[TrialRow], launcher: Launcher) -> l
 
 
 def choose_trials(trials: Sequence[TrialRow], n_retest: int) -> list[TrialRow]:
-    """Return trial 0, if it is done, and the best `n_retest` others, without trials that share the
-    runs of another.
-    """
-    distinct = {tuple(trial.runs): trial for trial in reversed(rank_trials(trials))}
-    best = rank_trials([*distinct.values()])
-    return [
-        *(trial for trial in best if trial.number == 0),
-        *[trial for trial in best if trial.number != 0][:n_retest],
-    ]
+    """Return trial 0, if it is done, and the best others; of trials with the same runs, one."""
+    distinct: dict[tuple[str, ...], TrialRow] = {}
+    for trial in rank_trials(trials):
+        distinct.setdefault(tuple(trial.runs), trial)
+    unchanged = [trial for trial in distinct.values() if trial.number == 0]
+    others = [trial for trial in distinct.values() if trial.number != 0]
+    return unchanged + others[:n_retest]
 
 
 def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console) -> None:
     """Print the results on test seeds, and write the best trial as an experiment file."""
-    winner, name = retested[0], search.folder.name
+    winner = retested[0]
     table = Table("trial", "tuning seeds", "test seeds", "difference", box=None, pad_edge=False)
     for trial in retested:
-        tuning, test = mean(trial.tuning), mean(trial.test)
-        table.add_row(
-            trial.label, f"{tuning:.1%}", f"{test:.1%}", f"{100 * (tuning - test):+.1f} points"
-        )
+        tuning = mean(trial.tuning)
+        test = mean(trial.test)
+        difference = f"{100 * (tuning - test):+.1f} points"
+        table.add_row(trial.label, f"{tuning:.1%}", f"{test:.1%}", difference)
     out.print(table)
+    path = _write_experiment(search, winner, len(retested))
+    seeds = plural(len(winner.test), "test seed")
+    out.print(f"the winner is {winner.label}: {OBJECTIVE} {mean(winner.test):.1%} on {seeds}")
+    out.print(f"experiment     {path}")
+    command = [*program("train").split(), f"experiment={path}"]
+    if search.extra_config_dir:
+        command += ["--config-dir", search.extra_config_dir]
+    out.print(f"train it with  {shlex.join(command)}")
+
+
+def _write_experiment(search: Search, winner: RetestedTrial, n_retested: int) -> Path:
+    """Write the experiment file of a trial's config, and return its path."""
+    name = search.folder.name
     config = result_part(search.config(winner.changes).plain())
     del config["seed"]
     options = search.compose(winner.changes).options
+    groups = ("env", "algorithm", "buffer")
     experiment = {
-        "defaults": [
-            {f"override /{group}": options[group]} for group in ("env", "algorithm", "buffer")
-        ],
+        "defaults": [{f"override /{group}": options[group]} for group in groups],
         "experiment_name": f"tuned_{name}",
         **config,
     }
     head = (
-        f"# @package _global_\n# Trial {winner.number} of search {name}, best of {len(retested)} "
-        "on test seeds.\n"
+        "# @package _global_\n"
+        f"# Trial {winner.number} of search {name}, best of {n_retested} on test seeds.\n"
     )
     path = search.folder / f"tuned_{name}.yaml"
     write_atomically(path, head + yaml.safe_dump(experiment, sort_keys=False))
-    seeds = plural(len(winner.test), "test seed")
-    out.print(f"the winner is {winner.label}: {OBJECTIVE} {mean(winner.test):.1%} on {seeds}")
-    out.print(f"experiment     {path}")
-    config_dir = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []
-    out.print(
-        "train it with  "
-        f"{shlex.join([*program('train').split(), f'experiment={path}', *config_dir])}"
-    )
+    return path

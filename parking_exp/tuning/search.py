@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 from omegaconf import OmegaConf
 
@@ -17,10 +17,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_of, study_errors
-from parking_exp.tuning.trials import TrialRow, check_trials, read_trials
-
-if TYPE_CHECKING:
-    from optuna import Study
+from parking_exp.tuning.trials import TrialRow, read_trials
 
 SEARCH_FILE = "search.json"
 _COMPOSING = threading.Lock()  # Hydra's state is global, and workers are threads
@@ -56,13 +53,15 @@ class Search:
         """
         with _COMPOSING, hydra_ready():
             groups = _compose_groups(tuple(self.overrides), self.extra_config_dir).options
-            options = [
-                f"{key}={in_quotes(str(value))}" for key, value in changes.items() if key in groups
-            ]
-            values = {key: value for key, value in changes.items() if key not in groups}
-            return _compose_groups((*self.overrides, *options), self.extra_config_dir).with_values(
-                values
-            )
+            options = []
+            values = {}
+            for key, value in changes.items():
+                if key in groups:
+                    options.append(f"{key}={in_quotes(str(value))}")
+                else:
+                    values[key] = value
+            run = _compose_groups((*self.overrides, *options), self.extra_config_dir)
+            return run.with_values(values)
 
     @cached_property
     def request(self) -> TuneRequest:
@@ -83,22 +82,11 @@ class Search:
         return self.base.output_path / self.base.experiment_name
 
     def config(self, changes: Mapping[str, Any]) -> RunConfig:
-        """Return the checked config of a trial.
-
-        Raises:
-            ConfigError: it can't run, or a change is not in the space: a foreign study may name any
-                class.
-        """
-        space = self.request.search.space
-        for key, value in changes.items():
-            if key not in space or not space[key].allows(value):
-                raise ConfigError(f"{key}={value!r} is not in search.space")
-        plain = cast(
-            dict[str, Any], OmegaConf.to_container(self.compose(changes).cell, resolve=True)
-        )
-        return validate(
-            {key: value for key, value in plain.items() if key not in TuneRequest.model_fields}
-        )
+        """Return the checked config of a trial; raises ConfigError if it can't run."""
+        plain: Any = OmegaConf.to_container(self.compose(changes).cell, resolve=True)
+        for key in TuneRequest.model_fields:
+            del plain[key]
+        return validate(plain)
 
     def check(self) -> None:
         """Check the space: every key, both ends of each range, and every choice.
@@ -108,46 +96,32 @@ class Search:
         """
         space = self.request.search.space
         assert self.base  # its errors are reported once
-        overridden = {line.partition("=")[0].lstrip("+~") for line in self.overrides}
-        twice = (key for key in space if key in overridden)
-        problems = [
-            f"{key} is both an override and a key of search.space; remove one of them"
-            for key in twice
-        ]
+        problems = []
         for key, dimension in space.items():
-            group = key.partition(".")[0]
-            options = space[group].choices if group != key and group in space else None
-            for context in [{group: option} for option in options or []] or [{}]:
+            for changes in self._options_for(key):
                 for value in dimension.ends:
                     try:
-                        self.config({**context, key: value})
+                        self.config({**changes, key: value})
                     except ConfigError as error:
-                        problems += [
-                            f"search.space.{key}: {line}" for line in str(error).splitlines()
-                        ]
+                        lines = str(error).splitlines()
+                        problems += [f"search.space.{key}: {line}" for line in lines]
         refuse(dict.fromkeys(problems))
+
+    def _options_for(self, key: str) -> list[dict[str, Any]]:
+        """Return the options of its group that a key has to go with."""
+        group = key.partition(".")[0]
+        dimension = self.request.search.space.get(group)
+        if group == key or dimension is None:
+            return [{}]
+        return [{group: option} for option in dimension.ends]
 
     def open(self) -> OpenStudy:
         """Return the study; create it, and its folder, if there is none yet."""
-        run, space = self.compose({}), self.request.search.space
-        values = {
-            key: run.options.get(key) or OmegaConf.select(run.cell, key.lstrip("+"))
-            for key in space
-        }
-        return open_study(self.folder, self.request.search, self.base, values, self._option_keys)
-
-    @cached_property
-    def _option_keys(self) -> dict[str, str]:
-        """The run key with each option that trials choose from, which changes with the contents of
-        its file.
-        """
-        groups = self.compose({}).options
-        keys: dict[str, str] = {}
-        for group, dimension in self.request.search.space.items():
-            for option in dimension.ends if group in groups else []:
-                config = self.config({group: option}).model_copy(update={"seed": 0})
-                keys[f"{group}={option}"] = config.run_key
-        return keys
+        run = self.compose({})
+        values = {}
+        for key in self.request.search.space:
+            values[key] = run.options.get(key) or OmegaConf.select(run.cell, key.lstrip("+"))
+        return open_study(self.folder, self.request.search, self.base, values)
 
     def save(self) -> None:
         """Write `search.json`, from which other commands read the search."""
@@ -157,13 +131,10 @@ class Search:
 
 @dataclass(frozen=True)
 class StoredSearch:
-    """A search as other commands read it from its folder: its settings, number of trials, study and
-    trials so far.
-    """
+    """A search as other commands read it from its folder, with its trials so far."""
 
     search: SearchConfig
     n_trials: int
-    study: "Study"
     trials: list[TrialRow]
 
 
@@ -171,18 +142,17 @@ def study_in(folder: Path) -> StoredSearch | None:
     """Return the search of an experiment's folder; None without one.
 
     Raises:
-        ConfigError: its settings or its study are damaged, or a trial has values outside of the
-            space.
-        StoreError: the journal can't be read.
+        ConfigError: its settings are damaged.
+        StoreError: the journal is damaged.
         UntrustedError: see `storage_of`.
     """
-    if not (content := read_object(folder / SEARCH_FILE)):
+    content = read_object(folder / SEARCH_FILE)
+    if not content:
         return None
     stored = check(SearchFile, content)
     import optuna
 
     with study_errors(folder.name):
         study = optuna.load_study(study_name=folder.name, storage=storage_of(folder))
-    trials = read_trials(study, folder, stored.n_trials)
-    check_trials(trials, stored.search.space)
-    return StoredSearch(stored.search, stored.n_trials, study, trials)
+    trials = read_trials(study, folder, stored.search.space, stored.n_trials)
+    return StoredSearch(stored.search, stored.n_trials, trials)

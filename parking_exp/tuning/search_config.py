@@ -38,15 +38,10 @@ class Dimension(ConfigModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        forms = [
-            form for form in (self.log, self.uniform, self.whole, self.choices) if form is not None
-        ]
-        if len(forms) != 1:
+        forms = [self.log, self.uniform, self.whole, self.choices]
+        if forms.count(None) != len(forms) - 1:
             raise ValueError("takes one of log, uniform, int and choices")
-        if self.choices is None and self.ends[0] >= self.ends[1]:
-            raise ValueError(f"{self.ends} is empty; write [lowest, highest]")
-        if self.log and self.log[0] <= 0:
-            raise ValueError(f"is on a log scale, and {self.log[0]} is not above 0")
+        self.distribution()  # refuses a wrong range
         return self
 
     @property
@@ -60,54 +55,42 @@ class Dimension(ConfigModel):
         return f"{form} {ends}"
 
     def distribution(self) -> "BaseDistribution":
-        """Return the dimension as Optuna's distribution; choices are JSON, since Optuna takes no
-        lists.
-        """
+        """Return the dimension as Optuna's distribution."""
         from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
         if self.choices is not None:
-            return CategoricalDistribution([json.dumps(choice) for choice in self.choices])
+            return CategoricalDistribution([_choice_text(choice) for choice in self.choices])
         low, high = self.ends
-        return (
-            IntDistribution(low, high)
-            if self.whole
-            else FloatDistribution(low, high, log=self.log is not None)
-        )
+        if self.whole:
+            return IntDistribution(low, high)
+        return FloatDistribution(low, high, log=self.log is not None)
 
     def to_parameter(self, value: Any) -> Any:
         """Return a config's value as Optuna's parameter, or None if it is outside the dimension."""
         if self.choices is not None:
-            same = (
-                c
-                for c in self.choices
-                if c == value and isinstance(c, bool) == isinstance(value, bool)
-            )
-            return next(map(json.dumps, same), None)
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or (self.whole and value != int(value))
-        ):
-            return None
+            if value not in self.choices:
+                return None
+            return _choice_text(self.choices[self.choices.index(value)])
         low, high = self.ends
-        return value if low <= value <= high else None
-
-    def allows(self, value: Any) -> bool:
-        """Return whether a trial may have a value: one of the choices, or a number of the range
-        when it is rounded.
-        """
-        if self.choices is not None:
-            return self.to_parameter(value) is not None
-        if isinstance(value, bool) or not isinstance(value, int if self.whole else int | float):
-            return False
-        low, high = self.ends
-        return min(low, self.to_value(low)) <= value <= max(high, self.to_value(high))
+        is_inside = isinstance(value, int | float) and low <= value <= high
+        return value if is_inside else None
 
     def to_value(self, parameter: Any) -> Any:
-        """Return Optuna's parameter as a config's value."""
+        """Return Optuna's parameter as a config's value.
+
+        Raises:
+            KeyError: it is none of the choices.
+        """
         if self.choices is not None:
-            return json.loads(parameter)
+            return {_choice_text(choice): choice for choice in self.choices}[parameter]
         return parameter if self.whole else float(f"{parameter:.{DIGITS}g}")
+
+
+def _choice_text(choice: Any) -> str | float:
+    """Return a choice as Optuna stores it: lists, mappings, booleans and null as JSON."""
+    if isinstance(choice, str | int | float) and not isinstance(choice, bool):
+        return choice
+    return json.dumps(choice)
 
 
 class SearchConfig(ConfigModel):

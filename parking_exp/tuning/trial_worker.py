@@ -1,5 +1,4 @@
-"""Work on a search: claim trials one after the other, train each on its seeds, prune, and record
-the objective.
+"""Work on a search: claim trials, train each on its seeds, prune, and record the objective.
 
 The objective of a run is the normalised area under its success curve, 0 ... 1; that of a trial is
 the mean of its runs.
@@ -19,7 +18,7 @@ from parking_exp.runs.run_state import RunState, read_state
 from parking_exp.statistics import normalised_area
 from parking_exp.sweeps.local import Train
 from parking_exp.tuning.search import Search
-from parking_exp.tuning.study import CHANGES, REASON, RUNS, SEED_VALUES, claim
+from parking_exp.tuning.study import REASON, RUNS, SEED_VALUES, changes_of, claim
 
 if TYPE_CHECKING:
     from optuna import Study, Trial
@@ -30,13 +29,12 @@ POLL_S = 0.5
 
 
 def work(search: Search, train: Train) -> None:
-    """Train the trials of a search until none is left, or until `train` returns that it was
-    stopped.
-    """
+    """Train trials until none is left, or until `train` returns that it was stopped."""
     from optuna.pruners import MedianPruner, NopPruner
 
-    opened, settings = search.open(), search.request.search
-    opened.study.pruner = MedianPruner(n_startup_trials=5) if settings.pruner else NopPruner()
+    opened = search.open()
+    settings = search.request.search
+    opened.study.pruner = MedianPruner() if settings.pruner else NopPruner()
     while (claimed := claim(opened, settings, search.request.n_trials)) is not None:
         trial, lock = claimed
         try:
@@ -47,9 +45,7 @@ def work(search: Search, train: Train) -> None:
 
 
 def _train_trial(search: Search, study: "Study", trial: "Trial", train: Train) -> bool:
-    """Train a claimed trial on one seed after the other, and record how it ended; return whether it
-    has ended.
-    """
+    """Train a claimed trial on each seed, and record how it ended; return whether it has ended."""
     from optuna.trial import TrialState
 
     def fail(reason: str) -> bool:
@@ -57,27 +53,31 @@ def _train_trial(search: Search, study: "Study", trial: "Trial", train: Train) -
         study.tell(trial, state=TrialState.FAIL)
         return True
 
+    settings = search.request.search
     try:
-        config = search.config(trial.user_attrs[CHANGES])
+        config = search.config(changes_of(trial, settings.space))
     except ConfigError as error:  # an invalid combination of values
         return fail(str(error).replace("\n", "; "))
-    n_reported = len(
-        study.get_trials(deepcopy=False)[trial.number].intermediate_values
-    )  # by an earlier process
-    seeds, values, runs = search.request.search.tuning_seeds, list[float](), list[str]()
-    for seed in seeds:
+
+    entries = {"search": search.folder.name, "trial": trial.number}
+    reported = study.trials[trial.number].intermediate_values  # by an earlier process
+    values: list[float] = []
+    runs: list[str] = []
+    for seed in settings.tuning_seeds:
         run = config.model_copy(update={"seed": seed})
         runs.append(str(run.run_dir.relative_to(run.output_path)))
         trial.set_user_attr(RUNS, runs)
-        state = _train_run(run, {"search": search.folder.name, "trial": trial.number}, train)
+        state = _train_run(run, entries, train)
         if state is None:
             return False
         if state.stage != "done":
             return fail(f"seed {seed}: {state.reason or 'it failed'}")
+
         values.append(success_auc(RunDirectory(run.run_dir)))
-        if len(values) > n_reported:
+        if len(values) not in reported:
             trial.report(mean(values), len(values))
-        if trial.number > 0 and len(values) < len(seeds) and trial.should_prune():
+        is_last = len(values) == len(settings.tuning_seeds)
+        if trial.number > 0 and not is_last and trial.should_prune():
             study.tell(trial, state=TrialState.PRUNED)
             return True
     trial.set_user_attr(SEED_VALUES, values)
@@ -91,14 +91,10 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
     Raises:
         OutputDirectoryError: the disk is full; the trial stays open.
     """
-    directory, attempts = RunDirectory(config.run_dir), 0
-    while True:
-        state = read_state(directory.path)
-        may_succeed = state.killed or DISK_FULL in (state.reason or "")
-        if state.stage == "done" or (
-            state.stage == "failed" and (attempts == ATTEMPTS or not may_succeed)
-        ):
-            break
+    directory = RunDirectory(config.run_dir)
+    state = read_state(directory.path)
+    attempts = 0
+    while _may_succeed(state) and attempts < ATTEMPTS:
         directory.write_plan(config, f"trial {entries['trial']}", state.started, entries=entries)
         result = train(directory.path)
         if result == "stopped":
@@ -107,19 +103,25 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
             time.sleep(POLL_S)
         else:
             attempts += 1
+        state = read_state(directory.path)
     if DISK_FULL in (state.reason or ""):
         raise OutputDirectoryError(f"trial {entries['trial']}: {state.reason}; {state.run_dir}")
     return state
 
 
+def _may_succeed(state: RunState) -> bool:
+    """Return whether a run is not over, or failed for a reason that may be gone."""
+    if state.stage == "failed":
+        return state.killed or DISK_FULL in (state.reason or "")
+    return state.stage != "done"
+
+
 def success_auc(directory: RunDirectory) -> float:
-    """Return the normalised area under the success curve of a finished run, its final evaluation
-    included.
-    """
-    records, name = read_metrics(directory.path / METRICS_FILE), "eval/success_rate"
-    rates = {
-        record["step"]: record["metrics"][name] for record in records if name in record["metrics"]
-    }
+    """Return the normalised area under a run's success curve, with its final evaluation."""
+    rates = {}
+    for record in read_metrics(directory.path / METRICS_FILE):
+        if "eval/success_rate" in record["metrics"]:
+            rates[record["step"]] = record["metrics"]["eval/success_rate"]
     result = directory.result()
     if result is not None and "final/success_rate" in result.metrics:
         rates[result.steps] = result.metrics["final/success_rate"]

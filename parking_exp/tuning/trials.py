@@ -1,22 +1,19 @@
-"""The trials of a search as validated rows, their results on test seeds, and the tables that show
-them.
-"""
+"""The trials of a search as validated rows, and the tables that show them."""
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import Field, FiniteFloat, TypeAdapter
 from rich.table import Table
 
 from parking_exp.config.cell_labels import setting
-from parking_exp.errors import ConfigError, plural
+from parking_exp.errors import plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import is_held
 from parking_exp.tuning.search_config import Dimension
-from parking_exp.tuning.study import study_errors, trial_lock_path
+from parking_exp.tuning.study import changes_of, study_errors, trial_lock_path
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -54,18 +51,16 @@ class TrialRow:
     @property
     def label(self) -> str:
         """Its number and what it changes."""
-        changed = [
-            f"{key.rpartition('.')[2]}={setting(value)}" if "." in key else setting(value)
-            for key, value in self.changes.items()
-        ]
+        changed = []
+        for key, value in self.changes.items():
+            group, _, name = key.rpartition(".")
+            changed.append(f"{name}={setting(value)}" if group else setting(value))
         return f"trial {self.number}: {', '.join(changed) or 'unchanged'}"
 
 
 @dataclass(frozen=True)
 class RetestedTrial:
-    """A trial that was trained again on test seeds, with its objective on each tuning seed and on
-    each test seed.
-    """
+    """A trial that was trained again on test seeds, with its objective on each seed."""
 
     number: int
     label: str
@@ -74,73 +69,32 @@ class RetestedTrial:
     test: Rates
 
 
-def read_trials(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
-    """Return trial 0 and those that have begun, of the first `n_trials`."""
-    with study_errors(study.study_name):
-        trials = study.get_trials(deepcopy=False)[:n_trials]
-    return [_row(trial, folder) for trial in trials]
-
-
-def check_trials(trials: Sequence[TrialRow], space: Mapping[str, Dimension]) -> None:
-    """Refuse trials with values that their search can't have sampled.
+def read_trials(
+    study: "Study", folder: Path, space: Mapping[str, Dimension], n_trials: int
+) -> list[TrialRow]:
+    """Return trial 0 and those that have begun, of the first `n_trials`.
 
     Raises:
-        ConfigError: with the first of them.
+        StoreError: a trial is damaged, or has choices that its search lacks.
     """
-    for trial in trials:
-        outside = [
-            key
-            for key, value in trial.changes.items()
-            if key not in space or not space[key].allows(value)
-        ]
-        outside += [
-            key
-            for key, value in trial.parameters.items()
-            if not _is_parameter(space.get(key), value)
-        ]
-        if outside:
-            raise ConfigError(
-                f"the study is damaged: trial {trial.number} has {outside[0]} outside of "
-                "search.space"
-            )
+    with study_errors(study.study_name):
+        return [_read_trial(trial, folder, space) for trial in study.trials[:n_trials]]
 
 
-def _is_parameter(dimension: Dimension | None, value: Any) -> bool:
-    if dimension is None:
-        return False
-    if dimension.choices is not None:
-        return value in [plain_choice(json.dumps(choice)) for choice in dimension.choices]
-    return dimension.to_parameter(value) is not None
-
-
-def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
-    held = trial.state.name == "RUNNING" and is_held(trial_lock_path(folder, trial.number))
-    # Optuna reports the last intermediate value of a pruned trial as its value.
-    values = trial.values if trial.state.name == "COMPLETE" else None
+def _read_trial(trial: "FrozenTrial", folder: Path, space: Mapping[str, Dimension]) -> TrialRow:
+    state = STATES.get(trial.state.name, "pending")
+    if state == "pending" and is_held(trial_lock_path(folder, trial.number)):
+        state = "running"
     entries = {
         **trial.user_attrs,
         "number": trial.number,
-        "state": STATES.get(trial.state.name, "running" if held else "pending"),
-        "value": values[0] if values and len(values) == 1 else values,
+        "state": state,
+        "changes": changes_of(trial, space),
+        "parameters": trial.params,
+        # Optuna reports the last intermediate value of a pruned trial as its value.
+        "value": trial.value if state == "done" else None,
     }
-    try:
-        parameters = {name: plain_choice(value) for name, value in trial.params.items()}
-        return TypeAdapter(TrialRow).validate_python({**entries, "parameters": parameters})
-    except ValueError as error:
-        entry = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
-        raise ConfigError(
-            f"the study is damaged: trial {trial.number} has no valid {entry}"
-        ) from error
-
-
-def plain_choice(value: Any) -> float | str:
-    """Return a readable parameter: Optuna stores choices as JSON."""
-    if not isinstance(value, str):
-        return value
-    choice = json.loads(value)
-    return (
-        choice if isinstance(choice, str | int | float) and not isinstance(choice, bool) else value
-    )
+    return TypeAdapter(TrialRow).validate_python(entries)
 
 
 def read_retest(folder: Path) -> list[RetestedTrial]:
@@ -156,10 +110,8 @@ def read_retest(folder: Path) -> list[RetestedTrial]:
 
 def rank_trials(trials: Sequence[TrialRow]) -> list[TrialRow]:
     """Return the trials that are done, best first."""
-    return [
-        trial
-        for _, _, trial in sorted((-t.value, t.number, t) for t in trials if t.value is not None)
-    ]
+    done = [trial for trial in trials if trial.value is not None]
+    return sorted(done, key=lambda trial: trial.value or 0.0, reverse=True)
 
 
 def count_states(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
@@ -168,26 +120,27 @@ def count_states(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
     return {state: states.count(state) for state in get_args(TrialState)}
 
 
+def describe_states(trials: Sequence[TrialRow], n_trials: int) -> str:
+    """Describe how many of `n_trials` are in each state, e.g. `2 done, 1 pruned`."""
+    by_state = count_states(trials)
+    by_state["pending"] += n_trials - len(trials)
+    return ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
+
+
 def progress_table(trials: Sequence[TrialRow]) -> Table:
     """Return the best trials, then running and failed ones: state, value and changes."""
     table = Table("trial", "state", OBJECTIVE, "changes", box=None, pad_edge=False)
-    best, others = (
-        rank_trials(trials),
-        [trial for trial in trials if trial.state in ("running", "failed")],
-    )
-    for trial in [*best[: max(1, MAX_SHOWN - len(others))], *others[:MAX_SHOWN]]:
+    others = [trial for trial in trials if trial.state in ("running", "failed")]
+    for trial in [*rank_trials(trials)[:MAX_SHOWN], *others[:MAX_SHOWN]]:
         value = "" if trial.value is None else f"{trial.value:.1%}"
-        table.add_row(
-            str(trial.number), trial.state, value, trial.reason or trial.label.partition(": ")[2]
-        )
+        changes = trial.label.partition(": ")[2]
+        table.add_row(str(trial.number), trial.state, value, trial.reason or changes)
     return table
 
 
-def progress_lines(trials: Sequence[TrialRow], n_trials: int) -> Iterator[str]:
-    """Yield how many trials are in each state, and the best so far."""
-    by_state = count_states(trials)
-    by_state["pending"] += n_trials - len(trials)
-    states = ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
-    yield f"{plural(n_trials, 'trial')}: {states}"
+def progress_lines(trials: Sequence[TrialRow], n_trials: int) -> list[str]:
+    """Return how many trials are in each state, and the best so far."""
+    lines = [f"{plural(n_trials, 'trial')}: {describe_states(trials, n_trials)}"]
     for best in rank_trials(trials)[:1]:
-        yield f"best so far: {best.label} ({OBJECTIVE} {best.value:.1%})"
+        lines.append(f"best so far: {best.label} ({OBJECTIVE} {best.value:.1%})")
+    return lines

@@ -186,7 +186,7 @@ def search_in(folder, **stored):
     ("stored", "attributes", "problem"),
     [
         ({"search": SETTINGS | {"sampler": "gp"}}, {}, "sampler"),
-        ({}, {"changes": ["x"]}, "trial 1 has no valid changes"),
+        ({}, {"by_seed": ["x"]}, "the study mine can't be used: "),
     ],
 )
 def test_a_damaged_search_is_shown_beside_the_runs(tmp_path, stored, attributes, problem):

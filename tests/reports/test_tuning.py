@@ -36,7 +36,7 @@ from parking_exp.tuning.trials import read_trials
 
 DISTRIBUTIONS = {
     "algorithm.learning_rate": FloatDistribution(1e-4, 1e-2, log=True),
-    "buffer": CategoricalDistribution(['"her_future"', '"replay"']),
+    "buffer": CategoricalDistribution(["her_future", "replay"]),
     "buffer.n_sampled_goal": IntDistribution(1, 8),
 }
 SPACE = {
@@ -49,16 +49,15 @@ OWN = [section for section in SECTIONS if section.id in ("retest", "tuning")]
 
 def trial(*values, rate=1e-3, buffer="her_future", **attributes):
     """A trial of a study, pruned if it has no value, with what a worker notes of it."""
-    changes = {"algorithm.learning_rate": rate, "buffer": buffer}
-    parameters = {"algorithm.learning_rate": rate, "buffer": json.dumps(buffer)}
+    parameters = {"algorithm.learning_rate": rate, "buffer": buffer}
     if buffer == "her_future":
-        changes["buffer.n_sampled_goal"] = parameters["buffer.n_sampled_goal"] = 4
+        parameters["buffer.n_sampled_goal"] = 4
     return create_trial(
         state=TrialState.COMPLETE if values else TrialState.PRUNED,
         values=values or None,
         params=parameters,
         distributions={name: DISTRIBUTIONS[name] for name in parameters},
-        user_attrs={"changes": changes, **attributes},
+        user_attrs=attributes,
     )
 
 
@@ -66,10 +65,9 @@ def tuning(folder, trials):
     """What a report has of a search with these trials."""
     study = optuna.create_study(direction="maximize")
     study.add_trials(trials)
-    return read_tuning(
-        folder,
-        StoredSearch(settings(), len(trials), study, read_trials(study, folder, len(trials))),
-    )
+    search = settings(space=SPACE)
+    rows = read_trials(study, folder, search.space, len(trials))
+    return read_tuning(folder, StoredSearch(search, len(trials), rows))
 
 
 def many(folder):
@@ -240,7 +238,7 @@ def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     [
         (lambda folder: write_search(folder, search={"name": "x"}), "space"),
         (lambda folder: write_retest(folder, (0, [2.0], [0.5])), "smoke/retest.json"),
-        (lambda folder: add(folder, trial(0.5, by_seed="x")), "trial 2 has no valid by_seed"),
+        (lambda folder: add(folder, trial(0.5, by_seed="x")), "the study smoke can't be used: "),
     ],
     ids=["settings", "retest", "trial"],
 )

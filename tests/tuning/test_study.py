@@ -12,7 +12,7 @@ import pytest
 from support.searches import base, settings
 
 from parking_exp.errors import ConfigError, StoreError, UntrustedError
-from parking_exp.tuning.study import CHANGES, STUDY_FILE, claim, open_study
+from parking_exp.tuning.study import STUDY_FILE, changes_of, claim, open_study
 from parking_exp.tuning.trials import read_trials
 
 VALUES = {"algorithm.gamma": 0.95}  # of the unchanged config
@@ -27,11 +27,13 @@ def finish(opened, n_trials, search=None, value=0.5):
     trial, lock = claim(opened, search or settings(), n_trials)
     opened.study.tell(trial, value)
     lock.release()
-    return trial.number, trial.user_attrs[CHANGES]
+    return trial.number, changes_of(trial, settings().space)
 
 
 def states(opened, n_trials):
-    return [row.state for row in read_trials(opened.study, opened.folder, n_trials)]
+    return [
+        row.state for row in read_trials(opened.study, opened.folder, settings().space, n_trials)
+    ]
 
 
 @pytest.mark.parametrize(("gamma", "parameters"), [(0.95, {"algorithm.gamma": 0.95}), (0.5, {})])
@@ -58,7 +60,7 @@ def test_an_abandoned_trial_is_resumed_with_what_it_had(tmp_path):
     trial.report(0.25, 3)
     lock.release()
     again, _ = claim(opened(tmp_path), settings(), 2)
-    assert (again.number, again.user_attrs[CHANGES]) == (1, trial.user_attrs[CHANGES])
+    assert (again.number, again.params) == (1, trial.params)
     assert study.study.get_trials()[1].intermediate_values == {3: 0.25}
     assert states(study, 2) == ["done", "running"]
 
