@@ -133,10 +133,6 @@ class Experiment:
         """Return Holm's p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
         return formats.p_value(self._pair(first, second).rank_p_holm)
 
-    def log_rank(self, first: str, second: str) -> str:
-        """Return Holm's p of the log-rank test of two cells' times to 90 %, e.g. `p = 0.012`."""
-        return formats.p_value(self._pair(first, second).log_rank_p_holm)
-
     def _pair(self, first: str, second: str) -> Pair:
         ids = {self.cell(first).id, self.cell(second).id}
         return next(pair for pair in self.report.pairs if {pair.a, pair.b} == ids)

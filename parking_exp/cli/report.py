@@ -23,12 +23,11 @@ def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
             "a report takes one value for each key; use name=... to write a second report"
         )
     request = validate_report(configs[0])
-    from parking_exp.reports.make_report import (
-        report,
-    )  # imports pandas and matplotlib: after the check
+    # It imports pandas and matplotlib: after the check.
+    from parking_exp.reports.make_report import make_report
 
     gc.disable()  # saves a third of the time of a large report, whose objects all live to its end
-    report(request)
+    make_report(request)
     gc.freeze()
 
 

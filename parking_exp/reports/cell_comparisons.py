@@ -1,25 +1,21 @@
-"""Comparisons of cells: pairs, and main effects of crossed factors."""
+"""Comparisons of cells: pairs of them, and levels of crossed factors."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
-from parking_exp import statistics
 from parking_exp.config.cell_labels import Factor
 from parking_exp.errors import plural
 from parking_exp.reports.report_data import Cell, Pair, Verdict
 from parking_exp.statistics import (
     Difference,
-    Interval,
     MainEffect,
     SeedRates,
     compare,
     finite_or_none,
     holm,
-    log_rank,
-    probability_of_improvement,
+    main_effects,
     rank_test,
 )
 
@@ -27,6 +23,15 @@ ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
 MAX_LEVELS = 12  # of a factor; more are values drawn from a range
 COVERED = 0.75  # share of the combinations that makes a design crossed
+
+FAMILY = (
+    "Comparisons of the final success of seeds: {}. p has Bonferroni's correction for this family, "
+    "and intervals are simultaneous: 0 lies outside exactly where p is below 0.05."
+)
+CHOSEN_BY_RESULT = (
+    " The reference was chosen by its result, so that the others' distance from it is too large on "
+    "average; name a baseline beforehand to avoid that."
+)
 
 
 class Contrasts(NamedTuple):
@@ -37,135 +42,111 @@ class Contrasts(NamedTuple):
 
 
 class Family(NamedTuple):
-    """Pairs that were compared, the sentence that declares them, and the cell that is part of all
-    of them, if any.
+    """Pairs of cells that are compared together.
+
+    Attributes:
+        sentence: declares them.
+        reference: id of the cell that is part of all of them, if any.
+        declared: whether they are contrasts.
     """
 
-    pairs: list[Pair]
-    sentence: str
-    reference: str | None
-    declared: bool = False  # whether the pairs are contrasts
+    couples: Sequence[tuple[Cell, Cell]] = ()
+    sentence: str = ""
+    reference: str | None = None
+    declared: bool = False
 
 
-def compare_pairs(cells: Sequence[Cell], baseline: str | None, contrasts: Contrasts) -> Family:
-    """Return the comparisons of a report, of cells given by their ids.
+def choose_family(cells: Sequence[Cell], baseline: str | None, contrasts: Contrasts) -> Family:
+    """Return the pairs that a report compares, of cells given by their ids.
 
     These are all cells against the baseline, else the contrasts, else all pairs or, where cells are
-    many, all against the one with the highest mean. The verdict of fewer than two finished seeds is
-    unknown.
+    many, all against the one with the highest mean.
     """
-    rated = [cell for cell in cells if cell.success.value is not None]
-    reference = next((cell for cell in rated if cell.id == baseline), None)
-    by_id = {cell.id: cell for cell in rated}
-    declared = (
-        [(by_id[a], by_id[b]) for a, b in contrasts.pairs if {a, b} <= by_id.keys()]
-        if reference is None
-        else []
-    )
-    if reference is None and not declared and len(rated) > ALL_PAIRS_UP_TO:
-        reference = max(rated, key=lambda cell: cell.success.value or 0.0)
+    rated = {cell.id: cell for cell in cells if cell.success.value is not None}
+    if baseline in rated:
+        return _compare_with(rated[baseline], rated, "the baseline")
+
+    declared = [(rated[a], rated[b]) for a, b in contrasts.pairs if a in rated and b in rated]
     if declared:
-        couples, family = declared, f"{plural(len(declared), 'pair')} {contrasts.source}"
-    elif reference is None:
-        couples = list(combinations(rated, 2))
-        family = (
-            "two cells" if len(couples) == 1 else f"all {len(couples)} pairs of {len(rated)} cells"
-        )
-    else:
-        couples = [(cell, reference) for cell in rated if cell is not reference]
-        name = "the baseline" if reference.id == baseline else "the one with the highest mean"
-        family = f"{len(couples)} cell{'s' if len(couples) > 1 else ''} against {name}"
+        words = f"{plural(len(declared), 'pair')} {contrasts.source}"
+        return Family(declared, FAMILY.format(words), declared=True)
+
+    if len(rated) > ALL_PAIRS_UP_TO:
+        best = max(rated.values(), key=lambda cell: cell.success.value or 0.0)
+        family = _compare_with(best, rated, "the one with the highest mean")
+        return family._replace(sentence=family.sentence + CHOSEN_BY_RESULT)
+
+    couples = list(combinations(rated.values(), 2))
     if not couples:
-        return Family([], "", None)
-    sentence = (
-        f"Comparisons of the final success of seeds: {family}. p has Bonferroni's correction for "
-        "this family, and "
-        "intervals are simultaneous: 0 lies outside exactly where p is below 0.05."
-    )
-    if reference is not None and reference.id != baseline:
-        sentence += (
-            " The reference was chosen by its result, so that the others' distance from it is too "
-            "large on average; "
-            "name a baseline beforehand to avoid that."
+        return Family()
+    words = f"all {len(couples)} pairs of {len(rated)} cells" if len(couples) > 1 else "two cells"
+    return Family(couples, FAMILY.format(words))
+
+
+def _compare_with(reference: Cell, rated: Mapping[str, Cell], name: str) -> Family:
+    others = [cell for cell in rated.values() if cell is not reference]
+    if not others:
+        return Family()
+    words = f"{plural(len(others), 'cell')} against {name}"
+    return Family([(cell, reference) for cell in others], FAMILY.format(words), reference.id)
+
+
+def compare_pairs(couples: Sequence[tuple[Cell, Cell]]) -> list[Pair]:
+    """Return the comparisons of a family, each corrected for all of them."""
+    rates = [(seed_rates(a), seed_rates(b)) for a, b in couples]
+    differences = compare([([a], [b]) for a, b in rates], SIGNIFICANT)
+    rank_p = [rank_test(a.rates, b.rates) for a, b in rates]
+    rank_p_holm = [finite_or_none(p) for p in holm(rank_p)]
+    return [
+        Pair(
+            a=a.id,
+            b=b.id,
+            difference=difference,
+            p=difference.p,
+            p_corrected=difference.p_corrected,
+            rank_p=p,
+            rank_p_holm=p_holm,
+            verdict=_judge(difference),
         )
-    differences = compare([([seed_rates(a)], [seed_rates(b)]) for a, b in couples], SIGNIFICANT)
-    pairs = [
-        _compare(a, b, difference) for (a, b), difference in zip(couples, differences, strict=True)
+        for (a, b), difference, p, p_holm in zip(
+            couples, differences, rank_p, rank_p_holm, strict=True
+        )
     ]
-    corrected = [
-        replace(
-            pair, rank_p_holm=finite_or_none(rank_p), log_rank_p_holm=finite_or_none(log_rank_p)
-        )
-        for pair, rank_p, log_rank_p in zip(
-            pairs,
-            holm([pair.rank_p for pair in pairs]),
-            holm([pair.log_rank_p for pair in pairs]),
-            strict=True,
-        )
-    ]
-    return Family(corrected, sentence, reference.id if reference else None, bool(declared))
 
 
 def seed_rates(cell: Cell) -> SeedRates:
     """Return the final success of a cell's seeds, and the fewest episodes of one."""
     seeds = [seed for seed in cell.seeds if seed.success is not None]
-    episodes = [seed.n_episodes for seed in seeds if seed.n_episodes]
-    return SeedRates(
-        [seed.success or 0.0 for seed in seeds],
-        min(episodes) if len(episodes) == len(seeds) else None,
-    )
+    rates = [seed.success or 0.0 for seed in seeds]
+    n_episodes = min(seed.n_episodes or 0 for seed in seeds)
+    return SeedRates(rates, n_episodes or None)
 
 
-def _compare(a: Cell, b: Cell, difference: Difference) -> Pair:
-    times_a, times_b = (
-        [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds if seed.steps_to_90 is not None]
-        for cell in (a, b)
-    )
-    both_timed = times_a and times_b
-    log_rank_p = (
-        log_rank([*zip(*times_a, strict=True)], [*zip(*times_b, strict=True)])
-        if both_timed
-        else None
-    )
-    rates_a, rates_b = seed_rates(a).rates, seed_rates(b).rates
-    return Pair(
-        a=a.id,
-        b=b.id,
-        difference=difference,
-        p=difference.p,
-        p_corrected=difference.p_corrected,
-        rank_p=rank_test(rates_a, rates_b),
-        rank_p_holm=None,
-        improvement=probability_of_improvement(rates_a, rates_b),
-        log_rank_p=log_rank_p,
-        log_rank_p_holm=None,
-        verdict=_judge(difference, difference.p_corrected),
-    )
-
-
-def _judge(difference: Interval, p: float | None) -> Verdict:
-    if p is None or difference.value is None:
+def _judge(difference: Difference) -> Verdict:
+    if difference.p_corrected is None or difference.value is None:
         return "unknown"
-    if p >= SIGNIFICANT:
+    if difference.p_corrected >= SIGNIFICANT:
         return "same"
     return "a" if difference.value > 0 else "b"
 
 
-def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainEffect]:
-    """Return the mean of each level of each factor; none unless factors are crossed, or one number
-    has three levels.
+def compare_levels(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainEffect]:
+    """Return what each factor does on average over the others.
 
-    A control without one of the keys, such as replay, which has no `n_sampled_goal`, is left out.
+    There is nothing unless factors are crossed, or one number has three levels. A control without
+    one of the keys, such as replay, which has no `n_sampled_goal`, is left out.
     """
     full = [cell for cell in cells if None not in cell.settings.values()]
     levels = {factor.key: {cell.settings[factor.key] for cell in full} for factor in factors}
-    crossed = {key: values for key, values in levels.items() if len(values) > 1}
-    sizes = [len(values) for values in crossed.values()]
+    crossed = [key for key, values in levels.items() if len(values) > 1]
     is_series = len(factors) == 1 and factors[0].numeric and len(factors[0].levels) > 2
     if len(crossed) < 2 and not is_series:
         return []
+
+    sizes = [len(levels[key]) for key in crossed]
     if max(sizes) > MAX_LEVELS or len(full) < COVERED * math.prod(sizes):
         return []
+
     rated = [cell for cell in full if cell.success.value is not None]
     rates = [([cell.settings[key] for key in crossed], seed_rates(cell)) for cell in rated]
-    return statistics.main_effects(list(crossed), rates) if rates else []
+    return main_effects(crossed, rates) if rates else []

@@ -25,43 +25,65 @@ VERDICTS: dict[Verdict, VerdictWords] = {
 
 
 def percent(share: float | None) -> str:
-    """Write 0.944 as `94.4`, and 0.9997 as `99.97`: a share that is not quite 0 or 1 is never
-    written as that.
+    """Write 0.944 as `94.4`, and 0.9997 as `99.97`.
+
+    A share that is not quite 0 or 1 is never written as that.
     """
-    if (share := finite_or_none(share)) is None:
+    share = finite_or_none(share)
+    if share is None:
         return ""
     if 1e-9 < min(share, 1 - share) < 0.001:
         return f"{min(max(100 * share, 0.01), 99.99):.2f}"
-    return f"{100 * share + 0.0:.1f}"
+    return f"{100 * share + 0.0:.1f}"  # adding 0.0 makes -0.0 positive
+
+
+def points(difference: float | None) -> str:
+    """Write a difference of rates in percentage points: `+3.2`, and `+0.03` next to 0."""
+    difference = finite_or_none(difference)
+    if difference is None:
+        return ""
+    if abs(difference) < 1e-9:
+        return "0.0"
+    digits = 1 if abs(difference) >= 0.0005 else 2
+    return f"{100 * difference:+.{digits}f}".replace("-", "−")  # noqa: RUF001
 
 
 def number(value: float | None, digits: int = 0) -> str:
     """Write 40000 as `40,000`."""
-    return "" if (value := finite_or_none(value)) is None else f"{value:,.{digits}f}"
+    value = finite_or_none(value)
+    return "" if value is None else f"{value:,.{digits}f}"
 
 
 def probability(p: float | None) -> str:
     """Write a p value for a table: three digits, and nothing smaller."""
-    if (p := finite_or_none(p)) is None:
+    p = finite_or_none(p)
+    if p is None:
         return ""
     return "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def p_value(p: float | None) -> str:
     """Write a p value for a sentence: `p = 0.012`."""
-    if (p := finite_or_none(p)) is None:
+    if p is None:
         return ""
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
+    if p < 0.001:
+        return "p < 0.001"
+    return f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
 
 
 def percent_interval(interval: Interval) -> str:
     """Write `94.4 [91.2, 97.1]`, or the number alone where it has no interval."""
-    return _add_bounds(interval, percent)
+    return percent(interval.value) + _write_bounds(interval, percent)
 
 
 def difference_interval(interval: Interval) -> str:
     """Write `+9.1 [+4.0, +14.2]`, or the number alone."""
-    return _add_bounds(interval, points)
+    return points(interval.value) + _write_bounds(interval, points)
+
+
+def points_interval(interval: Interval) -> str:
+    """Write `+9.1 points [+4.0, +14.2]`, or the number alone."""
+    return f"{points(interval.value)} points{_write_bounds(interval, points)}"
 
 
 def share_interval(share: Proportion) -> str:
@@ -70,30 +92,14 @@ def share_interval(share: Proportion) -> str:
 
 
 def rate_text(value: float | None) -> str:
-    """Write 0.944 as `94.4 %`, for sentences and hover values."""
-    return f"{percent(value)} %" if finite_or_none(value) is not None else "unknown"
+    """Write 0.944 as `94.4 %`, for sentences."""
+    text = percent(value)
+    return f"{text} %" if text else "unknown"
 
 
 def rate_interval(interval: Interval) -> str:
     """Write `94.4 % [91.2, 97.1]`, or the number alone where it has no interval."""
     return rate_text(interval.value) + _write_bounds(interval, percent)
-
-
-def points(difference: float | None) -> str:
-    """Write a difference of rates in percentage points: `+3.2`, with a proper minus, and `+0.03`
-    next to 0.
-    """
-    if (difference := finite_or_none(difference)) is None:
-        return ""
-    if abs(difference) < 1e-9:
-        return "0.0"
-    digits = 1 if abs(difference) >= 0.0005 else 2
-    return f"{100 * difference:+.{digits}f}".replace("-", "−")  # noqa: RUF001
-
-
-def points_interval(interval: Interval) -> str:
-    """Write `+9.1 points [+4.0, +14.2]`, or the number alone."""
-    return f"{points(interval.value)} points{_write_bounds(interval, points)}"
 
 
 def words(value: Any) -> str:
@@ -106,12 +112,8 @@ def level(value: Any) -> str:
     return "none" if value is None else setting(value)
 
 
-def _add_bounds(interval: Interval, write: Callable[[float | None], str]) -> str:
-    value = write(interval.value)
-    return value + _write_bounds(interval, write) if value else ""
-
-
 def _write_bounds(interval: Interval | Proportion, write: Callable[[float | None], str]) -> str:
     """Write the ends of an interval as ` [91.2, 97.1]`, nothing where one is missing."""
-    low, high = write(interval.low), write(interval.high)
+    low = write(interval.low)
+    high = write(interval.high)
     return f" [{low}, {high}]" if low and high else ""

@@ -35,16 +35,14 @@ from parking_exp.tracking.store import Store
 
 
 class ReportSource(NamedTuple):
-    """What a report is made of: results of experiments, their names, and the search that an export
-    has.
-    """
+    """What a report is made of: results of experiments, their names, and an export's search."""
 
     results: Results
     experiments: list[str]
     tuning: Tuning | None = None
 
 
-def report(request: ReportRequest) -> Path:
+def make_report(request: ReportRequest) -> Path:
     """Write a report, print what it says, and return its folder."""
     export_folder = directory_path(request.export) if request.export else None
     if export_folder:
@@ -52,21 +50,15 @@ def report(request: ReportRequest) -> Path:
     with console(stderr=True).status("") as progress:
         source = _read_source(request, progress.update)
         progress.update(f"comparing {plural(len(source.results.runs), 'run')}")
-        data = _build_content(request, source)
+        report = _build_content(request, source)
         progress.update("drawing")
-        # In a store, experiments may be called anything.
-        name = request.name or re.sub(r"[^\w.+-]|^\.", "_", "+".join(data.experiments))
-        folder = request.output_path / "reports" / name
-        refuse_links([folder.parent, folder], request.output_path)
-        refuse_links(folder.rglob("*"), folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        with FileLock(folder / ".lock"):
-            write_report(data, folder, request.report.formats)
+        folder = _write_files(request, report)
         if export_folder:
             progress.update("exporting")
-            write_report_export(source, data, export_folder, only_cells=bool(request.cells_asked))
-    say(*data.claims, *data.missing)
-    say(*(f"warning: {sentence}" for sentence in data.warnings), stderr=True)
+            write_report_export(source, report, export_folder, only_cells=bool(request.cells_asked))
+
+    say(*report.claims, *report.missing)
+    say(*(f"warning: {sentence}" for sentence in report.warnings), stderr=True)
     if export_folder:
         say(f"export         {export_folder}")
     say(f"report         {folder / 'index.html'}")
@@ -82,19 +74,7 @@ def _read_source(request: ReportRequest, show: Callable[[str], None]) -> ReportS
         show("reading the store")
         results = load(request.experiments, uri=request.tracking.uri)
     else:
-        show("sending to the store what it lacks")
-        paths = [
-            path
-            for name in request.experiments or [""]
-            for path in find_runs(request.output_path, name or None)
-        ]
-        store = Store(default_uri(request.output_path), request.output_path)
-        problem = mirror_problem(map(RunDirectory, paths), store)
-        show("reading the store")
-        results = read_store(store, request.experiments)
-        results = replace(
-            results, problems=(*([f"{problem}."] if problem else []), *results.problems)
-        )
+        results = _read_own_store(request, show)
     names = list(dict.fromkeys(results.runs["experiment"]))
     if request.experiments is None and len(names) > 1:
         raise ConfigError(
@@ -103,8 +83,27 @@ def _read_source(request: ReportRequest, show: Callable[[str], None]) -> ReportS
     return ReportSource(results, request.experiments or names)
 
 
+def _read_own_store(request: ReportRequest, show: Callable[[str], None]) -> Results:
+    """Send the store of the output directory what it lacks, and read it."""
+    show("sending to the store what it lacks")
+    names = request.experiments
+    paths = [
+        path
+        for path in find_runs(request.output_path)
+        if not names or path.parents[1].name in names
+    ]
+    store = Store(default_uri(request.output_path), request.output_path)
+    problem = mirror_problem(map(RunDirectory, paths), store)
+
+    show("reading the store")
+    results = read_store(store, request.experiments)
+    if problem:
+        return replace(results, problems=(f"{problem}.", *results.problems))
+    return results
+
+
 def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
-    data = build_report(
+    report = build_report(
         source.results,
         source.experiments,
         cells=request.cells_asked,
@@ -114,16 +113,27 @@ def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
         command=shlex.join([*program("report").split(), *sys.argv[1:]]),
     )
     if request.source is None:
-        return add_search(data, request.output_path)
-    return add_tuning(data, source.tuning) if source.tuning else data
+        return add_search(report, request.output_path)
+    return add_tuning(report, source.tuning) if source.tuning else report
+
+
+def _write_files(request: ReportRequest, report: ReportData) -> Path:
+    """Write a report into the output directory, and return its folder."""
+    # In a store, experiments may be called anything.
+    name = request.name or re.sub(r"[^\w.+-]|^\.", "_", "+".join(report.experiments))
+    folder = request.output_path / "reports" / name
+    refuse_links([folder.parent, folder], request.output_path)
+    refuse_links(folder.rglob("*"), folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder / ".lock"):
+        write_report(report, folder, request.report.formats)
+    return folder
 
 
 def write_report_export(
     source: ReportSource, report: ReportData, folder: Path, *, only_cells: bool
 ) -> None:
-    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the
-    experiments.
-    """
+    """Write the export of a report: all of its experiments, or the runs of its cells alone."""
     results = _select_cells(source.results, report) if only_cells else source.results
     tuning = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
     write_export(results, folder, {"experiments": source.experiments, "report": {"tuning": tuning}})
@@ -136,19 +146,16 @@ def read_report_export(folder: str) -> ReportSource:
         experiments = TypeAdapter(list[str]).validate_python(results.about["experiments"])
         tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
     except (ValidationError, KeyError, AttributeError) as error:
-        raise ResultsError(
-            f"{Path(folder) / REPORT} can't be read: it does not describe a report"
-        ) from error
+        path = Path(folder) / REPORT
+        raise ResultsError(f"{path} can't be read: it does not describe a report") from error
     return ReportSource(results, experiments, tuning)
 
 
 def _select_cells(results: Results, report: ReportData) -> Results:
-    cells = {(cell.experiment, cell.name) for cell in report.cells}
-    kept = [
-        pair in cells for pair in zip(results.runs["experiment"], results.runs["cell"], strict=True)
-    ]
-    runs = results.runs[kept].reset_index(drop=True)
-    curves, episodes = (
-        frame[frame["run_id"].isin(runs["run_id"])] for frame in (results.curves, results.episodes)
-    )
+    """Return the results of a report's cells."""
+    cells = [(cell.experiment, cell.name) for cell in report.cells]
+    runs = results.runs.set_index(["experiment", "cell"], drop=False)
+    runs = runs[runs.index.isin(cells)].reset_index(drop=True)
+    curves = results.curves[results.curves["run_id"].isin(runs["run_id"])]
+    episodes = results.episodes[results.episodes["run_id"].isin(runs["run_id"])]
     return replace(results, runs=runs, curves=curves, episodes=episodes)

@@ -1,12 +1,11 @@
-"""Dataclasses of a report's content, which `report.json` holds as it is; `report_builder` makes
-them.
+"""Dataclasses of a report's content, which `report.json` holds as it is.
 
-Rates are in 0 ... 1. None: not known.
+`report_builder` makes them. Rates are in 0 ... 1. None: not known.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from parking_exp.config.cell_labels import Factor, Setting
 from parking_exp.statistics import Interval, MainEffect, Proportion, SurvivalCurve
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
 
 MAX_DRAWN_PAIRS = 21  # all pairs of seven cells
 Verdict = Literal["a", "b", "same", "unknown"]
+REVERSED: dict[Verdict, Verdict] = {"a": "b", "b": "a"}
 
 
 @dataclass(frozen=True)
@@ -33,19 +33,16 @@ class RunSummary:
     high: float | None
     episode_steps: float | None
     cpu_s: float | None
-    steps_to_90: float | None = (
-        None  # first env step of 90 % held, or the last from which they could have been
-    )
+    # First env step from which 90 % were held, or the last from which they could have been.
+    steps_to_90: float | None = None
     reached_90: bool = False
     cpu_s_to_90: float | None = None  # None where they were not held
     area: float | None = None  # under the learning curve
-    further: Mapping[str, float | None] = field(
-        default_factory=dict
-    )  # other metrics that reports have
+    further: Mapping[str, float | None] = field(default_factory=dict)  # reports' other metrics
 
     def metric(self, name: str) -> float | None:
         """Return a metric by its name; None where the run has none."""
-        return getattr(self, name) if hasattr(self, name) else self.further.get(name)
+        return getattr(self, name, self.further.get(name))
 
 
 @dataclass(frozen=True)
@@ -58,9 +55,7 @@ class Curve:
     high: Sequence[float | None]
     n: Sequence[int]  # seeds
     failure: Sequence[float | None]
-    seeds: Sequence[
-        tuple[int, Sequence[int], Sequence[float | None]]
-    ]  # (seed, steps, rates) of each run
+    seeds: Sequence[tuple[int, Sequence[int], Sequence[float | None]]]  # (seed, steps, rates)
 
 
 @dataclass(frozen=True)
@@ -84,30 +79,21 @@ class Cell:
     reaching_95: Proportion  # seeds
     seeds: Sequence[RunSummary] = ()
     curve: Curve | None = None  # None without evaluations during training, as `survival`
-    survival: SurvivalCurve | None = (
-        None  # of the env steps until three evaluations in a row have 90 %
-    )
-    median_cpu_s: float | None = (
-        None  # CPU-seconds to 90 %; None where fewer than half of the seeds reached it
-    )
+    survival: SurvivalCurve | None = None  # of the env steps until 90 % are held
+    median_cpu_s: float | None = None  # to 90 %; None where fewer than half of the seeds reach it
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
     note: str | None = None  # a sentence about an interval that is too narrow or missing
-    further: Mapping[str, Interval] = field(default_factory=dict)  # other metrics that reports have
+    further: Mapping[str, Interval] = field(default_factory=dict)  # reports' other metrics
 
     def metric(self, name: str) -> Interval:
-        """Return the mean of a metric by its name; the interval is empty where the cell has
-        none.
-        """
-        return (
-            getattr(self, name) if hasattr(self, name) else self.further.get(name, Interval(None))
-        )
+        """Return the mean of a metric by its name, `Interval(None)` where the cell has none."""
+        return getattr(self, name, self.further.get(name, Interval(None)))
 
     @property
     def failure(self) -> Interval:
         """Rate of the episodes that ended badly, whatever its task calls them."""
-        return next(
-            (self.further[name] for name in FAILURES if name in self.further), Interval(None)
-        )
+        rates = [self.further[name] for name in FAILURES if name in self.further]
+        return rates[0] if rates else Interval(None)
 
 
 @dataclass(frozen=True)
@@ -118,31 +104,24 @@ class Pair:
     b: str
     difference: Interval  # mean of a minus mean of b
     p: float | None  # of the difference
-    p_corrected: (
-        float | None
-    )  # corrected for the pairs of the report, as the interval of the difference
+    p_corrected: float | None  # for the pairs of the report, as the interval of the difference
     rank_p: float | None  # of Mann and Whitney's test
     rank_p_holm: float | None
-    improvement: float  # probability that a seed of a is better than one of b, ties counted half
-    log_rank_p: float | None  # of the times to 90 %; None where none was reached
-    log_rank_p_holm: float | None
     # `a` or `b` is better (p_corrected < 0.05), `same`: not significant, `unknown`: too few seeds
     verdict: Verdict
 
     def reverse(self) -> "Pair":
         """Return the comparison of b with a."""
-        ends = (self.difference.value, self.difference.high, self.difference.low)
-        value, low, high = (None if end is None else -end for end in ends)
-        difference = replace(self.difference, value=value, low=low, high=high)
-        verdict = cast(Verdict, {"a": "b", "b": "a"}.get(self.verdict, self.verdict))
-        return replace(
-            self,
-            a=self.b,
-            b=self.a,
-            difference=difference,
-            improvement=1 - self.improvement,
-            verdict=verdict,
+        old = self.difference
+        difference = replace(
+            old, value=_negate(old.value), low=_negate(old.high), high=_negate(old.low)
         )
+        verdict = REVERSED.get(self.verdict, self.verdict)
+        return replace(self, a=self.b, b=self.a, difference=difference, verdict=verdict)
+
+
+def _negate(value: float | None) -> float | None:
+    return None if value is None else -value
 
 
 @dataclass(frozen=True)
@@ -190,14 +169,12 @@ class ReportData:
     family: str  # a sentence: which pairs were compared, and how p was corrected
     pairs: Sequence[Pair]
     effects: Sequence[MainEffect]  # empty unless factors are crossed
-    claims: Sequence[str]  # findings, the most important first
-    warnings: Sequence[str]  # what makes numbers hard to compare
-    missing: Sequence[str]  # what has no result (yet)
     provenance: Provenance
-    notes: Sequence[str] = field(default_factory=tuple)
-    reference: str | None = (
-        None  # id of the cell in all pairs: the baseline or, of many cells, the best; None: none
-    )
+    claims: Sequence[str] = ()  # findings, the most important first
+    warnings: Sequence[str] = ()  # what makes numbers hard to compare
+    missing: Sequence[str] = ()  # what has no result (yet)
+    notes: Sequence[str] = ()
+    reference: str | None = None  # id of the cell in all pairs, if any: the baseline or the best
     declared: bool = False  # whether the pairs are contrasts
     tuning: "Tuning | None" = None
 
@@ -206,27 +183,28 @@ class ReportData:
         return next(cell for cell in self.cells if cell.id == cell_id)
 
     @property
+    def labels(self) -> dict[str, str]:
+        """The label of each cell by its id."""
+        return {cell.id: cell.label for cell in self.cells}
+
+    @property
     def shown_cells(self) -> list[Cell]:
         """The cells that figures show."""
         return [cell for cell in self.cells if cell.id in self.shown]
 
     @property
     def effects_by_size(self) -> list[MainEffect]:
-        """Return the effect of each factor, the largest first."""
+        """The effect of each factor, the largest first."""
         return sorted(self.effects, key=lambda effect: effect.size, reverse=True)
 
     @property
     def drawn_pairs(self) -> Sequence[Pair]:
-        """The pairs that figures show: none where all pairs of many cells were compared, which
-        nobody has asked for.
-        """
+        """The pairs that figures show: none where nobody has chosen them and they are many."""
         chosen = self.declared or self.reference is not None
         return self.pairs if chosen or len(self.pairs) <= MAX_DRAWN_PAIRS else ()
 
     def plain(self) -> dict[str, Any]:
-        """Return everything as JSON can hold it; further metrics of cells and seeds stand beside
-        the others.
-        """
+        """Return everything as JSON can hold it, with further metrics beside the others."""
         plain = asdict(self)
         for cell in plain["cells"]:
             cell.update(cell.pop("further") | cell.pop("task_data"))

@@ -17,21 +17,21 @@ from parking_exp.reports.tables.latex import to_latex
 from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically
 
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+
 
 def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> None:
-    """Write all files of a report; `figures` and `tables` are replaced as a whole, and the page is
-    the last.
-    """
+    """Write all files of a report, the page last; figures and tables are replaced as a whole."""
     numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
-    with TemporaryDirectory(prefix=".new-", dir=folder) as new:
-        figures, tables = Path(new) / "figures", Path(new) / "tables"
-        contents = section_contents(report, draw(report, figures, formats))
-        write_tables(contents, tables)
+    with TemporaryDirectory(prefix=".new-", dir=folder) as temporary:
+        new = Path(temporary)
+        contents = section_contents(report, draw(report, new / "figures", formats))
+        write_tables(contents, new / "tables")
         html = render_page(report, contents)
-        for part in (figures, tables):
-            if (folder / part.name).exists():
-                shutil.rmtree(folder / part.name)
-            part.rename(folder / part.name)
+        for name in ("figures", "tables"):
+            if (folder / name).exists():
+                shutil.rmtree(folder / name)
+            (new / name).rename(folder / name)
     write_atomically(folder / "report.json", numbers)
     write_atomically(folder / "index.html", html)
 
@@ -39,30 +39,23 @@ def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> No
 def write_tables(contents: Sequence[SectionContent], folder: Path) -> None:
     """Write every table as CSV, and those for a paper as LaTeX."""
     folder.mkdir(parents=True, exist_ok=True)
-    for table in (table for content in contents for table in content.tables if table.rows):
-        (folder / f"{table.name}.csv").write_text(to_csv(table), encoding="utf-8")
-        if table.latex:
-            (folder / f"{table.name}.tex").write_text(to_latex(table), encoding="utf-8")
+    for content in contents:
+        for table in content.tables:
+            if table.rows:
+                (folder / f"{table.name}.csv").write_text(to_csv(table), encoding="utf-8")
+            if table.rows and table.latex:
+                (folder / f"{table.name}.tex").write_text(to_latex(table), encoding="utf-8")
 
 
 def to_csv(table: Table) -> str:
     """Return a table as CSV: rates in 0 ... 1, nothing where nothing is known."""
-    frame = (
-        pd.DataFrame(list(table.rows))
-        .rename(columns=escape_formula)
-        .replace([np.inf, -np.inf], np.nan)
-    )
-    texts = frame.select_dtypes(exclude="number").columns
-    frame[texts] = frame[texts].map(escape_formula)
+    frame = pd.DataFrame(list(table.rows)).rename(columns=escape_formula)
+    frame = frame.replace([np.inf, -np.inf], np.nan).map(escape_formula)
     return str(frame.to_csv(index=False, lineterminator="\n", float_format="%.10g"))
 
 
 def escape_formula(value: Any) -> Any:
-    """Keep spreadsheets from running a text as a formula: an apostrophe before `=`, `+`, `-`, `@`,
-    tab and return.
-    """
-    return (
-        f"'{value}"
-        if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r"))
-        else value
-    )
+    """Keep spreadsheets from running a text as a formula: put an apostrophe before its start."""
+    if isinstance(value, str) and value.startswith(FORMULA_STARTS):
+        return f"'{value}"
+    return value

@@ -19,8 +19,9 @@ MARKERS = {"o": "●", "s": "■", "^": "▲", "D": "◆", "v": "▼", "P": "✚
 
 
 def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
-    """Return `index.html`. Everything is escaped; pictures are embedded as images, in which nothing
-    is executed.
+    """Return `index.html`.
+
+    Everything is escaped. Pictures are embedded as images, in which nothing is executed.
     """
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
@@ -29,20 +30,27 @@ def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "number": formats.number,
-        "base64": lambda data: base64.b64encode(data).decode(),
-    }
-    style, script = (
-        TEMPLATES.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js")
-    )
-    looks = {cell: cell_style(cell) for cell in report.shown}
+    environment.filters |= {"number": formats.number, "base64": _to_base64}
+    style = (TEMPLATES / "page.css").read_text(encoding="utf-8")
+    script = (TEMPLATES / "page.js").read_text(encoding="utf-8")
+
+    stages: Counter[str] = Counter()
+    for cell in report.cells:
+        stages += Counter(cell.counts)  # leaves out those without a run
+    swatches = {}
+    for cell_id in report.shown:
+        look = cell_style(cell_id)
+        swatches[cell_id] = (look.colour, MARKERS[look.marker])
     return environment.get_template("index.html.j2").render(
         report=report,
         style=Markup(style),
         script=Markup(script),
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        script_hash=_to_base64(hashlib.sha256(script.encode()).digest()),
         sections=[part for part in contents if part.text or part.pictures or part.readable_tables],
-        swatches={cell: (look.colour, MARKERS[look.marker]) for cell, look in looks.items()},
-        stages=sum((Counter(cell.counts) for cell in report.cells), Counter()),
+        swatches=swatches,
+        stages=stages,
     )
+
+
+def _to_base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()

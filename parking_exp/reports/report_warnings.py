@@ -1,21 +1,19 @@
 """The warnings of a report, in sentences: few seeds, mixed conditions, missing runs."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 
-from parking_exp.config.cell_labels import Setting, differing_keys, setting
+from parking_exp.config.cell_labels import Setting
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.cell_selection import CellRuns
-from parking_exp.reports.report_data import Cell, Provenance
+from parking_exp.reports.report_data import ReportData
 from parking_exp.tasks.registry import TRAINING_ONLY
 
 ENOUGH_SEEDS = 10
 FEW_NAMES = 4
+WAITING = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
 MIXED = {
     "total_timesteps": "Budgets are mixed: cells were trained for {} env steps.",
-    "evaluation.final_n_scenes": (
-        "Evaluations are mixed: final models were evaluated in {} episodes."
-    ),
     "evaluation.first_scene": "Evaluations are mixed: their episodes begin at seeds {}.",
     "evaluation.n_scenes": "Evaluations are mixed: those during training had {} episodes.",
     "evaluation.every_n_steps": (
@@ -32,54 +30,55 @@ def list_names(names: Sequence[str]) -> str:
     return f"{', '.join(few)} and {last}" if few else last
 
 
-def find_incomparable(
-    runs: Sequence[CellRuns], cells: Sequence[Cell], origin: Provenance
-) -> Iterator[str]:
-    """Yield what makes numbers hard to compare."""
-    if few := [cell.success.n for cell in cells if cell.success.n < ENOUGH_SEEDS]:
-        some = f"{len(few)} of {plural(len(cells), 'cell')}"
+def find_incomparable(report: ReportData, runs: Sequence[CellRuns]) -> Iterator[str]:
+    """Yield what makes numbers hard to compare, given the runs of the report's cells."""
+    cells = report.cells
+    few = [cell.success.n for cell in cells if cell.success.n < ENOUGH_SEEDS]
+    if few:
         yield (
-            f"Exploratory: fewer than {ENOUGH_SEEDS} finished seeds in {some} (the fewest: "
-            f"{min(few)})."
+            f"Exploratory: fewer than {ENOUGH_SEEDS} finished seeds in {len(few)} of "
+            f"{plural(len(cells), 'cell')} (the fewest: {min(few)})."
         )
-    yield from _find_mixed(runs, origin)
+    yield from _find_mixed_origins(report)
+    yield from _find_mixed_settings(report)
     for note in dict.fromkeys(cell.note for cell in cells if cell.note):
         yield f"{list_names([cell.label for cell in cells if cell.note == note])}: {note}"
-    for cell in runs:
-        if cell.n_repeated:
-            yield (
-                f"{quoted_label(cell.label)}: {plural(cell.n_repeated, 'run')} left out: another "
-                "has the same seed."
-            )
-        if blank := int(cell.done["success_rate"].isna().sum()):
-            yield (
-                f"{quoted_label(cell.label)}: {plural(blank, 'run')} left out: no final success "
-                "rate."
-            )
+    for cell_runs, cell in zip(runs, cells, strict=True):
+        left_out = {
+            "another has the same seed": cell_runs.n_repeated,
+            "no final success rate": sum(seed.success is None for seed in cell.seeds),
+        }
+        for reason, n in left_out.items():
+            if n:
+                yield f"{quoted_label(cell.label)}: {plural(n, 'run')} left out: {reason}."
     # What ends a cell's name is a hash of its config.
-    for name in dict.fromkeys(cell.name for cell in runs):
-        if len(same := [cell.label for cell in runs if cell.name == name]) > 1:
+    for name, n in Counter(cell.name for cell in cells).items():
+        if n > 1:
+            same = [cell.label for cell in cells if cell.name == name]
             yield (
                 f"{list_names(same)} have the same config: runs with equal seeds are duplicates, "
                 "not replicates."
             )
 
 
-def find_missing(
-    cells: Sequence[Cell], experiments: Iterable[str], stored: Iterable[str]
-) -> Iterator[str]:
-    """Yield which runs have no result, and which experiments have no runs."""
-    total = sum((Counter(cell.counts) for cell in cells), Counter())
-    waiting = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
-    if stages := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
+def find_missing(report: ReportData, stored: Container[str]) -> Iterator[str]:
+    """Yield which runs have no result, and which experiments have none of the stored runs."""
+    total: Counter[str] = Counter()
+    for cell in report.cells:
+        total.update(cell.counts)
+    stages = [f"{total[stage]} {words}" for stage, words in WAITING.items() if total[stage]]
+    if stages:
         yield f"Runs done: {total['done']} of {total.total()}; {', '.join(stages)}."
-    if empty := [cell.label for cell in cells if not cell.counts["done"]]:
+    empty = [cell.label for cell in report.cells if not cell.counts["done"]]
+    if empty:
         yield f"No run is done of {list_names(empty)}."
-    known = set(stored)
-    yield from (f"Experiment {name} has no runs." for name in experiments if name not in known)
+    for name in report.experiments:
+        if name not in stored:
+            yield f"Experiment {name} has no runs."
 
 
-def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
+def _find_mixed_origins(report: ReportData) -> Iterator[str]:
+    origin = report.provenance
     for package, versions in origin.versions.items():
         if len(versions) > 1:
             yield f"Versions are mixed: {package} {list_names(list(versions))}."
@@ -88,36 +87,29 @@ def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
     if any(commit.endswith("+") for commit in origin.commits):
         yield "Some runs were made from files that differ from their commit (marked +)."
     if len(origin.machines) > 1:
-        yield (
-            "Machines are mixed, so that CPU-seconds do not compare: "
-            f"{list_names(list(origin.machines))}."
-        )
+        machines = list_names(list(origin.machines))
+        yield f"Machines are mixed, so that CPU-seconds do not compare: {machines}."
+
+
+def _find_mixed_settings(report: ReportData) -> Iterator[str]:
+    n_episodes = [seed.n_episodes for cell in report.cells for seed in cell.seeds]
+    if len(set(n_episodes)) > 1:
+        numbers = _write_range(n_episodes)
+        yield f"Evaluations are mixed: final models were evaluated in {numbers} episodes."
+    difference = report.provenance.difference
     for key, words in MIXED.items():
-        values = list(dict.fromkeys(value for cell in runs for value in _values_of_runs(cell, key)))
-        if len(values) > 1:
-            yield words.format(_list_values(values))
-    keys = [key for key in differing_keys([cell.config for cell in runs]) if key.startswith("env.")]
-    if mixed := [key for key in keys if key not in TRAINING_ONLY]:
+        if key in difference:
+            yield words.format(_write_range(difference[key]))
+    mixed = [key for key in difference if key.startswith("env.") and key not in TRAINING_ONLY]
+    if mixed:
         yield (
             f"Tasks are mixed: cells differ in {list_names(mixed)}; their rates are not of the "
             "same episodes."
         )
-    if len({tuple(cell.done["seed"]) for cell in runs if len(cell.done)}) > 1:
+    if len({tuple(seed.seed for seed in cell.seeds) for cell in report.cells if cell.seeds}) > 1:
         yield "Cells do not have the same seeds."
 
 
-def _values_of_runs(cell: CellRuns, key: str) -> list[Setting]:
-    """Return the values of a config key; the runs of a cell may differ in the settings of their
-    final evaluation.
-    """
-    if key == "evaluation.final_n_scenes":
-        return [int(number) for number in cell.runs["n_scenes"].dropna()]
-    return [cell.config.get(key)]
-
-
-def _list_values(values: Sequence[Setting]) -> str:
-    """List config values; of more than two numbers, the smallest and the largest."""
-    numbers = sorted(value for value in values if isinstance(value, int))
-    if len(values) == len(numbers) > 1:
-        return f"{numbers[0]:,} {'and' if len(numbers) == 2 else 'to'} {numbers[-1]:,}"
-    return list_names([setting(value) for value in values])
+def _write_range(values: Iterable[Setting]) -> str:
+    numbers = [value for value in values if isinstance(value, int)]
+    return f"{min(numbers):,} to {max(numbers):,}"

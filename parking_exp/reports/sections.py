@@ -1,8 +1,9 @@
 """The sections of a report, in order: what each has to say, its figures and its tables."""
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Figure:
+class SectionFigure:
     """A figure of a section; where `draw` gives several, their names are `NAME`, `NAME_2`, ..."""
 
     name: str
@@ -54,10 +55,10 @@ class Section:
     title: str
     text: Callable[[ReportData], Iterable[str]] = lambda report: ()
     tables: Sequence[Callable[[ReportData], Iterable[Table]]] = ()
-    figures: Sequence[Figure] = ()
+    figures: Sequence[SectionFigure] = ()
 
 
-def what_was_run(report: ReportData) -> Iterable[str]:
+def what_was_run(report: ReportData) -> Iterator[str]:
     """Yield when and how runs and report were made."""
     origin = report.provenance
     if origin.first and origin.last:
@@ -67,20 +68,19 @@ def what_was_run(report: ReportData) -> Iterable[str]:
         yield f"Cells of these experiments that were not selected: {'; '.join(origin.left_out)}."
 
 
-def explain_few_evaluations(report: ReportData) -> Iterable[str]:
-    """Yield why there are no learning curves or times to 90 %, where runs were evaluated too
-    rarely.
-    """
-    curves = [curve for cell in report.cells if (curve := cell.curve)]
-    n_evaluations = [len(steps) for curve in curves for _, steps, _ in curve.seeds]
+def explain_few_evaluations(report: ReportData) -> Iterator[str]:
+    """Yield why there are no curves or times to 90 %, where runs were evaluated too rarely."""
+    n_evaluations = []
+    for cell in report.cells:
+        if cell.curve:
+            n_evaluations += [len(steps) for _, steps, _ in cell.curve.seeds]
+    reasons = {
+        1: "There are no learning curves and times to 90 %: no run was evaluated more than once.",
+        2: "There are no times to 90 %: no run was evaluated more than twice.",
+    }
     most = max(n_evaluations, default=HOLD)
     if most < HOLD:
-        absent = "learning curves and times to 90 %" if most == 1 else "times to 90 %"
-        yield (
-            f"There are no {absent}: no run was evaluated more than "
-            f"{'once' if most == 1 else 'twice'}. "
-            "A smaller evaluation.every_n_steps evaluates runs more often."
-        )
+        yield f"{reasons[most]} A smaller evaluation.every_n_steps evaluates runs more often."
 
 
 SECTIONS = (
@@ -90,42 +90,44 @@ SECTIONS = (
         "The search",
         text=describe_search,
         figures=[
-            Figure("optimisation_history", "Optimisation history", draw_history),
-            Figure("parameter_importance", "Importance of parameters", draw_parameter_importance),
-            Figure("slices", "Value against each parameter", draw_slices),
+            SectionFigure("optimisation_history", "Optimisation history", draw_history),
+            SectionFigure(
+                "parameter_importance", "Importance of parameters", draw_parameter_importance
+            ),
+            SectionFigure("slices", "Value against each parameter", draw_slices),
         ],
         tables=[trial_table],
     ),
     Section(
         "factors",
         "What each factor does",
-        figures=[Figure("two_factors", "Success by two factors", draw_two_factors)],
+        figures=[SectionFigure("two_factors", "Success by two factors", draw_two_factors)],
         tables=[report_tables.factors, report_tables.effects],
     ),
     Section(
         "results",
         "Which is better",
-        figures=[Figure("final_success", "Final success, every seed", draw_final_success)],
+        figures=[SectionFigure("final_success", "Final success, every seed", draw_final_success)],
         tables=[report_tables.headline],
     ),
     Section(
         "curves",
         "Learning curves",
         text=explain_few_evaluations,
-        figures=[Figure("learning_curves", "Learning curves", draw_learning_curves)],
+        figures=[SectionFigure("learning_curves", "Learning curves", draw_learning_curves)],
         tables=[report_tables.curves],
     ),
     Section(
         "time",
         "Time to 90 %",
-        figures=[Figure("time_to_90", "Time to 90 %", draw_time_to_90)],
+        figures=[SectionFigure("time_to_90", "Time to 90 %", draw_time_to_90)],
         tables=[report_tables.times, report_tables.survival],
     ),
     Section(
         "pairs",
         "Pair by pair",
         text=lambda report: [report.family] if report.pairs else [],
-        figures=[Figure("pairwise", "Differences between cells", draw_pairs)],
+        figures=[SectionFigure("pairwise", "Differences between cells", draw_pairs)],
         tables=[report_tables.pairs],
     ),
     Section("seeds", "Every seed", tables=[report_tables.seeds]),
@@ -145,34 +147,38 @@ SECTIONS = (
 
 
 def sections_of(report: ReportData) -> list[Section]:
-    """Return the sections that a report may have: SECTIONS, and in their middle those of its
-    tasks.
-    """
-    task_sections = [
-        _task_section(section) for task in task_reports(report.tasks) for section in task.sections
-    ]
-    middle = [section.id for section in SECTIONS].index("seeds")
-    return [*SECTIONS[:middle], *task_sections, *SECTIONS[middle:]]
+    """Return the sections that a report may have: SECTIONS, and before the seeds its tasks'."""
+    sections: list[Section] = []
+    for section in SECTIONS:
+        if section.id == "seeds":
+            for task in task_reports(report.tasks):
+                sections += map(_adapt_section, task.sections)
+        sections.append(section)
+    return sections
 
 
-def _task_section(section: TaskSection) -> Section:
-    def rows(report: ReportData) -> Iterable[Table]:
-        name = section.table or ""
-        cells = [(cell, cell.task_data.get(name, ())) for cell in report.cells]
-        yield Table(
-            name, [{**cell_record(cell), **row} for cell, its_rows in cells for row in its_rows]
-        )
-
-    def on_cells(figure: TaskFigure) -> Figure:
-        return Figure(figure.name, figure.title, lambda report: figure.draw(report.shown_cells))
-
-    tables = [rows] if section.table else []
+def _adapt_section(section: TaskSection) -> Section:
+    """Return a section of a report from that of a task."""
     return Section(
         section.id,
         section.title,
-        tables=tables,
-        figures=[on_cells(figure) for figure in section.figures],
+        tables=[partial(_list_task_rows, section.table)] if section.table else [],
+        figures=[
+            SectionFigure(figure.name, figure.title, partial(_draw_shown_cells, figure))
+            for figure in section.figures
+        ],
     )
+
+
+def _list_task_rows(name: str, report: ReportData) -> Iterator[Table]:
+    rows = []
+    for cell in report.cells:
+        rows += [{**cell_record(cell), **row} for row in cell.task_data.get(name, ())]
+    yield Table(name, rows)
+
+
+def _draw_shown_cells(figure: TaskFigure, report: ReportData) -> Iterator[Drawing]:
+    return figure.draw(report.shown_cells)
 
 
 @dataclass(frozen=True)
@@ -206,16 +212,15 @@ def section_contents(
     report: ReportData, pictures: Sequence[Picture] = (), sections: Sequence[Section] | None = None
 ) -> list[SectionContent]:
     """Return what sections say of a report, by default all of them."""
-    return [
-        SectionContent(
-            section.id,
-            section.title,
-            list(section.text(report)),
-            [table for tables in section.tables for table in tables(report)],
-            [picture for picture in pictures if picture.section == section.id],
-        )
-        for section in (sections_of(report) if sections is None else sections)
-    ]
+    contents = []
+    for section in sections_of(report) if sections is None else sections:
+        tables: list[Table] = []
+        for list_tables in section.tables:
+            tables += list_tables(report)
+        own_pictures = [picture for picture in pictures if picture.section == section.id]
+        text = list(section.text(report))
+        contents.append(SectionContent(section.id, section.title, text, tables, own_pictures))
+    return contents
 
 
 def draw(
@@ -228,9 +233,8 @@ def draw(
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
     with report_style(), warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "Glyph"
-        )  # a box stands for what the font lacks; browsers have other fonts
+        # A box stands for what the font lacks; browsers have other fonts.
+        warnings.filterwarnings("ignore", "Glyph")
         for section in sections_of(report) if sections is None else sections:
             for kind in section.figures:
                 for number, (figure, caption) in enumerate(kind.draw(report), start=1):
@@ -241,13 +245,12 @@ def draw(
 
 
 def _save(figure: matplotlib.figure.Figure, stem: Path, formats: Sequence[str]) -> bytes:
-    drawing = BytesIO()
-    figure.savefig(drawing, format="svg", metadata=_METADATA["svg"])
+    """Write a figure in some formats, and return it as SVG."""
+    drawings = {}
+    for kind in {"svg", *formats}:
+        buffer = BytesIO()
+        figure.savefig(buffer, format=kind, metadata=_METADATA[kind])
+        drawings[kind] = buffer.getvalue()
     for kind in formats:
-        if kind == "svg":
-            stem.with_name(f"{stem.name}.svg").write_bytes(drawing.getvalue())
-        else:
-            figure.savefig(
-                stem.with_name(f"{stem.name}.{kind}"), format=kind, metadata=_METADATA[kind]
-            )
-    return drawing.getvalue()
+        stem.with_name(f"{stem.name}.{kind}").write_bytes(drawings[kind])
+    return drawings["svg"]

@@ -1,5 +1,6 @@
-"""Statistics of runs: intervals, comparisons, effects, survival. Pure functions without I/O; all
-intervals are at 95 %.
+"""Statistics of runs: intervals, comparisons, effects, survival.
+
+Functions are pure, without I/O; intervals are at 95 %.
 
 Every training imports this package, so scipy, which takes half a second to import, is imported by
 the functions that need it.
@@ -9,7 +10,6 @@ from parking_exp.statistics.comparisons import (
     Difference,
     compare,
     holm,
-    probability_of_improvement,
     rank_test,
 )
 from parking_exp.statistics.effects import MainEffect, main_effects
@@ -26,7 +26,6 @@ from parking_exp.statistics.rates import (
 from parking_exp.statistics.survival import (
     SurvivalCurve,
     kaplan_meier,
-    log_rank,
     normalised_area,
     steps_to,
 )
@@ -44,11 +43,9 @@ __all__ = [
     "holm",
     "interquartile_mean",
     "kaplan_meier",
-    "log_rank",
     "main_effects",
     "mean_interval",
     "normalised_area",
-    "probability_of_improvement",
     "rank_test",
     "share_reaching",
     "steps_to",

@@ -19,6 +19,11 @@ class Level:
     effect: Interval
     cells: int
 
+    @property
+    def mean(self) -> float:
+        """The mean; 0 without data."""
+        return self.effect.value or 0.0
+
 
 @dataclass(frozen=True)
 class MainEffect:
@@ -40,48 +45,58 @@ class MainEffect:
     p: float | None = None
 
     @property
-    def size(self) -> float:
-        """The difference between its highest and its lowest mean; 0 with a single level."""
-        return self.largest.value or 0.0 if self.largest else 0.0
-
-    @property
     def extremes(self) -> tuple[Level, Level]:
         """The levels with the highest and the lowest mean, the first of equal ones."""
+        highest = max(self.levels, key=lambda level: level.mean)
+        lowest = min(self.levels, key=lambda level: level.mean)
+        return highest, lowest
 
-        def mean(level: Level) -> float:
-            return level.effect.value or 0.0
-
-        return max(self.levels, key=mean), min(self.levels, key=mean)
+    @property
+    def size(self) -> float:
+        """The difference between its highest and its lowest mean."""
+        highest, lowest = self.extremes
+        return highest.mean - lowest.mean
 
 
 def main_effects(
     factors: Sequence[str], cells: Sequence[tuple[Sequence[Any], SeedRates]]
 ) -> list[MainEffect]:
-    """Return the mean of cell means for every level of every factor; `cells` are (level of each
-    factor, rates).
+    """Return the mean of cell means for every level of every factor.
 
-    Cells have equal weights. Intervals and p are those of `compare`; there are none if a cell of
-    the level has a single seed. Levels are in order, numbers before texts.
+    Cells, (level of each factor, rates), have equal weights. Intervals and p are those of
+    `compare`; there are none if a cell of the level has a single seed. Levels are in order, numbers
+    before texts.
     """
-    by_factor = []
-    for place in range(len(factors)):
-        levels = sorted(
-            {key[place] for key, _ in cells}, key=lambda level: (isinstance(level, str), level)
-        )
-        by_factor.append(
-            {level: [rates for key, rates in cells if key[place] == level] for level in levels}
-        )
-    complete = len({tuple(key) for key, _ in cells}) == math.prod(map(len, by_factor))
+    by_factor = [_group_by_level(cells, place) for place in range(len(factors))]
+    n_combinations = math.prod(len(levels) for levels in by_factor)
+    complete = len({tuple(levels) for levels, _ in cells}) == n_combinations
     return [
-        _main_effect(factor, own, complete) for factor, own in zip(factors, by_factor, strict=True)
+        _main_effect(factor, levels, complete)
+        for factor, levels in zip(factors, by_factor, strict=True)
     ]
 
 
-def _main_effect(name: str, own: Mapping[Any, Sequence[SeedRates]], complete: bool) -> MainEffect:
-    levels = [Level(level, contrast(cells).interval(), len(cells)) for level, cells in own.items()]
+def _group_by_level(
+    cells: Sequence[tuple[Sequence[Any], SeedRates]], place: int
+) -> dict[Any, list[SeedRates]]:
+    groups: dict[Any, list[SeedRates]] = {}
+    for levels, rates in cells:
+        groups.setdefault(levels[place], []).append(rates)
+    order = sorted(groups, key=lambda level: (isinstance(level, str), level))
+    return {level: groups[level] for level in order}
+
+
+def _main_effect(
+    factor: str, cells: Mapping[Any, Sequence[SeedRates]], complete: bool
+) -> MainEffect:
+    levels = [
+        Level(level, contrast(rates).interval(), len(rates)) for level, rates in cells.items()
+    ]
     if len(levels) < 2:
-        return MainEffect(name, levels, complete)
-    order = sorted(levels, key=lambda level: level.effect.value or 0.0, reverse=True)
-    pairs = [(own[high.level], own[low.level]) for high, low in combinations(order, 2)]
-    largest = compare(pairs)[len(levels) - 2]  # the first level minus the last
-    return MainEffect(name, levels, complete, largest, largest.p_corrected)
+        return MainEffect(factor, levels, complete)
+
+    ranked = sorted(levels, key=lambda level: level.mean, reverse=True)
+    pairs = list(combinations(ranked, 2))
+    differences = compare([(cells[high.level], cells[low.level]) for high, low in pairs])
+    largest = differences[pairs.index((ranked[0], ranked[-1]))]
+    return MainEffect(factor, levels, complete, largest, largest.p_corrected)

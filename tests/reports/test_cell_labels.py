@@ -14,7 +14,7 @@ from parking_exp.config.cell_labels import (
 )
 from parking_exp.config.compose import compose_runs
 from parking_exp.errors import ConfigError
-from parking_exp.reports.cell_selection import choose, find_contrasts, group
+from parking_exp.reports.cell_selection import choose_cells, find_contrasts, group_runs
 from parking_exp.results.frames import config_column
 from parking_exp.sweeps.sweep import plan
 
@@ -175,7 +175,7 @@ def stored(runs):
 def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
     runs = plan(compose_runs("config", [*overrides, f"output_dir={tmp_path}"]))
     planned = {run.config.cell: run.label for run in runs}
-    assert planned == {cell.name: cell.label for cell in group(stored(runs))}
+    assert planned == {cell.name: cell.label for cell in group_runs(stored(runs))}
     assert expected is None or set(planned.values()) == expected
 
 
@@ -186,11 +186,11 @@ def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path)
     runs = plan(
         compose_runs("config", [f"experiment={experiment}", "seeds=1", f"output_dir={tmp_path}"])
     )
-    cells = group(stored(runs))
+    cells = group_runs(stored(runs))
     contrasts, *problems = find_contrasts(cells)
     assert (len(contrasts), problems) == (len(runs[0].config.contrasts), [[], []])
     if experiment == "ladder":
-        assert [cell.label for cell in choose(cells, ["label='no EMA',default"])] == [
+        assert [cell.label for cell in choose_cells(cells, ["label='no EMA',default"])] == [
             "default",
             "no EMA",
         ]
@@ -205,7 +205,7 @@ def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
         "config", [r"""cells=[{label:"a, 'b\c'",seed:1},{label:null,seed:2}]"""]
     )
     assert [run.config.label for run in plan(any_text)] == [r"a, 'b\c'", None]
-    (cell,) = choose(group(stored(plan(any_text))), [r"""label="a, 'b\c'" """.strip()])
+    (cell,) = choose_cells(group_runs(stored(plan(any_text))), [r"""label="a, 'b\c'" """.strip()])
     assert cell.label == r"a, 'b\c'"
     for overrides, hint in {
         (

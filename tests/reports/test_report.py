@@ -202,7 +202,6 @@ def test_a_mistake_is_a_sentence_and_nothing_is_written(unchanged, arguments, wo
     [
         ("basline=td3", "baseline"),
         ("trackng.uri=x", "tracking.uri"),
-        ("buffr.n_sampled_goal=4", "buffer.n_sampled_goal"),
     ],
 )
 def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, override, meant):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.figure_style import report_style
-from parking_exp.reports.cell_selection import choose, find_cell, group
+from parking_exp.reports.cell_selection import choose_cells, find_cell, group_runs
 from parking_exp.reports.figures.comparison_figures import draw_two_factors
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.sections import section_contents
@@ -42,24 +43,20 @@ def two():
 def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
     sac, td3 = two.cells
     assert (sac.label, td3.label) == ("sac", "td3")
-    assert (sac.success.value, td3.success.value) == (pytest.approx(0.92), pytest.approx(0.4))
-    assert [seed.success for seed in sac.seeds] == ENDS["sac"]
-    assert sac.timeout.value == pytest.approx(0.08)
-    assert (sac.reaching_95.k, sac.reaching_95.n) == (3, 5)
-    assert (sac.reaching_95.low, sac.reaching_95.high) == pytest.approx(
-        (0.1466, 0.9473), abs=1e-4
-    )  # Clopper & Pearson's
-    assert (sac.lowest, sac.iqm) == (
-        0.8,
-        pytest.approx(2.8 / 3),
-    )  # without the highest and the lowest of five
+    assert (sac.success.value, td3.success.value) == pytest.approx((0.92, 0.4))
     assert (sac.success.n, sac.counts["done"], sac.seeds[0].n_episodes) == (5, 5, 5)
     assert sac.success.low < 0.92 < sac.success.high
-    assert (sac.seeds[0].low, sac.seeds[0].high) == pytest.approx(
-        (0.3755, 0.9638), abs=1e-4
-    )  # Wilson's, 4 of 5
-    assert sum(slot["n"] for slot in sac.task_data["slots"]) == 25
-    assert sum(slot["n"] * slot["timeout"] for slot in sac.task_data["slots"]) == pytest.approx(2)
+    assert [seed.success for seed in sac.seeds] == ENDS["sac"]
+    assert sac.timeout.value == pytest.approx(0.08)
+    share, seed = sac.reaching_95, sac.seeds[0]
+    assert (share.k, share.n) == (3, 5)
+    assert (share.low, share.high) == pytest.approx((0.1466, 0.9473), abs=1e-4)  # Clopper-Pearson
+    assert (seed.low, seed.high) == pytest.approx((0.3755, 0.9638), abs=1e-4)  # Wilson, 4 of 5
+    assert sac.lowest == 0.8
+    assert sac.iqm == pytest.approx(2.8 / 3)  # without the highest and the lowest of five
+    slots = sac.task_data["slots"]
+    assert sum(slot["n"] for slot in slots) == 25
+    assert sum(slot["n"] * slot["timeout"] for slot in slots) == pytest.approx(2)
 
 
 def test_pairs_are_compared_and_have_a_verdict(two):
@@ -68,34 +65,29 @@ def test_pairs_are_compared_and_have_a_verdict(two):
     assert pair.difference == expected
     assert pair.difference.value == pytest.approx(0.52)
     assert pair.p == pair.p_corrected == expected.p < 0.05  # a family of one
-    assert (
-        pair.rank_p == pair.rank_p_holm == scipy.stats.mannwhitneyu(ENDS["sac"], ENDS["td3"]).pvalue
-    )
-    assert (pair.improvement, pair.verdict) == (1.0, "a")
+    rank_p = scipy.stats.mannwhitneyu(ENDS["sac"], ENDS["td3"]).pvalue
+    assert pair.rank_p == pair.rank_p_holm == rank_p
+    assert pair.verdict == "a"
 
 
 def test_claims_have_the_better_cell_the_difference_and_its_p_value(two):
-    assert two.claims[0].startswith("sac has the highest final success: 92.0 % [")
-    assert two.claims[1].startswith(
-        "sac is better than td3 (+52.0 points [+20.9, +73.7], p = 0.007)"
-    )
-    assert (
-        "Seeds that end at 95 % or above: sac 3 of 5 [15, 95 %]; td3 0 of 5 [0, 52 %]."
-        in two.claims
-    )
-    assert (
-        "Exploratory: fewer than 10 finished seeds in 2 of 2 cells (the fewest: 5)." in two.warnings
-    )
+    best, difference = two.claims
+    assert best.startswith("sac has the highest final success: 92.0 % [")
+    assert difference == "sac is better than td3 (+52.0 points [+20.9, +73.7], p = 0.007)."
+    few = "Exploratory: fewer than 10 finished seeds in 2 of 2 cells (the fewest: 5)."
+    assert few in two.warnings
+
+
+def test_ranks_that_disagree_are_named():
     starts = {"sac": [0.0, *([0.99] * 9)], "td3": [0.95] * 10}
-    ten = content(
-        {"sac": {}, "td3": {}}, range(10), lambda name, seed: Run(success=starts[name][seed])
-    )
-    assert ten.claims[1].endswith(
-        ", but by ranks p < 0.001)."
-    )  # nine of the ten seeds are better, one is at 0
+    report = content(ALGORITHMS, range(10), lambda name, seed: Run(success=starts[name][seed]))
+    # Nine of the ten seeds are better, one is at 0.
+    assert report.claims[1].endswith(", but by ranks p < 0.001).")
+
+
+def test_ten_healthy_seeds_have_no_warning():
     ends = np.random.default_rng(0).choice([0.4, 0.6, 0.8], 10)
-    healthy = content({"sac": {}}, range(10), lambda _, seed: Run(success=ends[seed]))
-    assert healthy.warnings == []
+    assert content({"sac": {}}, range(10), lambda _, seed: Run(success=ends[seed])).warnings == []
 
 
 def test_with_a_baseline_the_family_is_all_others_against_it():
@@ -107,9 +99,8 @@ def test_with_a_baseline_the_family_is_all_others_against_it():
     pairs = {(labels[pair.a], labels[pair.b]) for pair in report.pairs}
     assert pairs == {(f"n_sampled_goal={n}", "n_sampled_goal=2") for n in (1, 4)}
     p = sorted(pair.p for pair in report.pairs)
-    assert sorted(pair.p_corrected for pair in report.pairs) == pytest.approx(
-        [min(2 * p[0], 1), min(2 * p[1], 1)]
-    )
+    corrected = sorted(pair.p_corrected for pair in report.pairs)
+    assert corrected == pytest.approx([min(2 * p[0], 1), min(2 * p[1], 1)])
     assert len(content(GOALS, look=look).pairs) == 3
 
 
@@ -131,24 +122,19 @@ def test_mixed_conditions_are_warned_of():
     columns = {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40}
     configs = {"plain": {}, **{key: {key: value} for key, value in conditions.items()}}
     report = content(configs, range(2), lambda label, seed: Run(columns=columns if seed else {}))
-    mixed = [line for line in report.warnings if "mixed" in line]
-    for values in (
-        "400 and 800",
-        "5 and 8",
-        "0 and 100",
-        "3 and 4",
-        "100 and 200",
-        "env.vehicles_count",
-    ):
-        assert sum(f" {values}" in line for line in mixed) == 1
-    assert {line.split(" ")[0] for line in mixed} == {
-        "Budgets", "Evaluations", "Tasks", "Versions", "Commits", "Machines",
-    }  # fmt: skip
+    mixed = "\n".join(line for line in report.warnings if "mixed" in line)
+    ranges = ["400 to 800", "5 to 8", "0 to 100", "3 to 4", "100 to 200", "env.vehicles_count"]
+    assert [mixed.count(f" {values}") for values in ranges] == [1] * 6
+    kinds = {"Budgets", "Evaluations", "Tasks", "Versions", "Commits", "Machines"}
+    assert {line.partition(" ")[0] for line in mixed.splitlines()} == kinds
     assert report.provenance.versions["highway-env"] == {"1.12.1": 7, "1.11.0": 7}
+
+
+def test_other_rewards_and_simulators_are_no_mixed_tasks():
     other_reward = {
         "env.name": "parking_sparse", "env.reward": "sparse", "env.collision_reward": -20.0, "env.simulator": "highway_env"
     }  # fmt: skip
-    assert not [line for line in content({"a": {}, "b": other_reward}).warnings if "mixed" in line]
+    assert not any("mixed" in line for line in content({"a": {}, "b": other_reward}).warnings)
 
 
 def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons():
@@ -159,17 +145,17 @@ def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons():
     failed = report.cells[1]
     assert failed.success.value is None
     assert failed.counts == {"done": 0, "running": 0, "failed": 2, "pending": 0}
-    assert [
-        (run.label, run.seed, run.status, run.reason) for run in report.provenance.unfinished
-    ] == [("td3", seed, "failed", "ValueError: no way") for seed in (0, 1)]
+    run, _ = report.provenance.unfinished
+    described = ("td3", 0, "failed", "ValueError: no way")
+    assert (run.label, run.seed, run.status, run.reason) == described
     assert report.missing == ["Runs done: 2 of 4; 2 failed.", "No run is done of td3."]
     assert report.pairs == []
 
 
 def test_a_run_without_a_final_rate_is_left_out_with_a_warning():
-    nan = {"success_rate": np.nan}
+    rates = [0.6, np.nan, 0.6]
     report = content(
-        {"sac": {}}, look=lambda _, seed: Run(success=0.6, columns=nan if seed == 1 else {})
+        {"sac": {}}, look=lambda _, seed: Run(0.6, columns={"success_rate": rates[seed]})
     )
     assert (report.cells[0].success.value, report.cells[0].success.n) == (pytest.approx(0.6), 2)
     assert any("no final success rate" in line for line in report.warnings)
@@ -180,27 +166,22 @@ def test_a_run_without_a_final_rate_is_left_out_with_a_warning():
 
 def test_runs_of_different_lengths_have_curves_as_far_as_they_go():
     looks = {"short": Run(), "long": Run(curve=[0.8] * 8)}
-    report = content(
-        {"short": {}, "long": {"total_timesteps": 800}}, range(2), lambda label, _: looks[label]
-    )
-    short, long = report.cells
+    cells = {"short": {}, "long": {"total_timesteps": 800}}
+    short, long = content(cells, range(2), lambda label, _: looks[label]).cells
     assert (short.curve.step[-1], long.curve.step[-1]) == (400, 800)
 
 
 def test_time_to_90_percent_is_censored_where_it_was_not_held():
     curves = {0: [1 / 3, 1.0, 1.0, 1.0], 1: [0.0, 1.0, 1 / 3, 1.0]}
     (cell,) = content({"sac": {}}, [0, 1], lambda _, seed: Run(curve=curves[seed])).cells
-    assert [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds] == [
-        (200, True),
-        (200, False),
-    ]
+    times = [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds]
+    assert times == [(200, True), (200, False)]
     assert (cell.survival.k, cell.survival.n, cell.survival.median) == (1, 2, 200)
     assert cell.median_cpu_s == 150.0
     assert cell.seeds[0].area == pytest.approx((2 / 3 + 1 + 1) / 3)
     assert cell.area.low < cell.area.value < cell.area.high
-    assert content({"sac": {}}, [0, 1], lambda *_: Run(curve=[1.0] * 4)).cells[0].area == Interval(
-        1.0, n=2
-    )
+    (perfect,) = content({"sac": {}}, [0, 1], lambda *_: Run(curve=[1.0] * 4)).cells
+    assert perfect.area == Interval(1.0, n=2)
 
 
 def test_fewer_than_three_evaluations_say_nothing_of_the_time_to_90_percent():
@@ -209,17 +190,15 @@ def test_fewer_than_three_evaluations_say_nothing_of_the_time_to_90_percent():
 
 
 def test_unfinished_runs_are_missing_and_quick_shows_their_curves():
-    looks = [
-        Run(),
-        Run(status="interrupted", curve=(0, 0.5)),
-        Run(status="interrupted", curve=(0, 0.5)),
-    ]
-    report = content({"sac": {}}, range(3), lambda _, seed: looks[seed])
+    def look(_, seed):
+        return Run(status="interrupted", curve=(0, 0.5)) if seed else Run()
+
+    report = content({"sac": {}}, look=look)
     assert report.missing == ["Runs done: 1 of 3; 2 interrupted or not started."]
-    assert [seed for seed, _, _ in report.cells[0].curve.seeds] == [0]
-    quick = content({"sac": {}}, range(3), lambda _, seed: looks[seed], quick=True)
-    assert [seed for seed, _, _ in quick.cells[0].curve.seeds] == [0, 1, 2]
-    assert quick.cells[0].curve.n == [1, 3, 1, 3]
+    assert report.cells[0].curve.n == [1, 1, 1, 1]
+    curve = content({"sac": {}}, look=look, quick=True).cells[0].curve
+    assert [seed for seed, _, _ in curve.seeds] == [0, 1, 2]
+    assert curve.n == [1, 3, 1, 3]
 
 
 def test_without_a_finished_run_only_a_quick_report_is_made():
@@ -232,57 +211,48 @@ def test_without_a_finished_run_only_a_quick_report_is_made():
 
 def test_a_her_ablation_has_main_effects_without_its_control():
     rates = {"future1": 0.4, "future4": 0.8, "final1": 0.2, "final4": 0.6, "replay": 0.2}
-    report = content(
-        {**crossed(), "replay": REPLAY}, range(2), lambda label, _: Run(success=rates[label])
-    )
-    levels = [
+    cells = {**crossed(), "replay": REPLAY}
+    report = content(cells, range(2), lambda label, _: Run(success=rates[label]))
+    buffers, goals = (
         {level.level: round(level.effect.value, 6) for level in effect.levels}
         for effect in report.effects
-    ]
-    assert levels == [{"her_future": 0.6, "her_final": 0.4}, {1: 0.3, 4: 0.7}]
-    assert any("Not part of the main effects" in note and "replay" in note for note in report.notes)
-    assert any(
-        claim.startswith("n_sampled_goal: ") and "+40.0 points" in claim for claim in report.claims
     )
+    assert (buffers, goals) == ({"her_future": 0.6, "her_final": 0.4}, {1: 0.3, 4: 0.7})
+    assert report.notes == [
+        "Not part of the main effects, without a value of every factor: replay."
+    ]
+    assert report.claims[0].startswith("n_sampled_goal: ") and "+40.0 points" in report.claims[0]
 
 
 def factorial(n_seeds=3, her=0.9):
     """A report on twelve cells: replay and HER, three algorithms, two values of gamma. Replay never
     succeeds.
     """
-    cells = {}
-    for buffer, keys in (("her_future", {}), ("replay", REPLAY)):
-        for algorithm in ("sac", "td3", "ddpg"):
-            for gamma in (0.9, 0.95):
-                name = f"{buffer} {algorithm} {gamma}"
-                cells[name] = {**keys, "algorithm.name": algorithm, "algorithm.gamma": gamma}
-    rates = {name: her if name.startswith("her") else 0.0 for name in cells}
-    rates["her_future sac 0.95"] += 0.1
+    cells, rates = {}, {}
+    for algorithm, gamma in product(("sac", "td3", "ddpg"), (0.9, 0.95)):
+        keys = {"algorithm.name": algorithm, "algorithm.gamma": gamma}
+        cells[f"her {algorithm} {gamma}"] = keys
+        cells[f"replay {algorithm} {gamma}"] = {**keys, **REPLAY}
+        rates |= {f"her {algorithm} {gamma}": her, f"replay {algorithm} {gamma}": 0.0}
+    rates["her sac 0.95"] += 0.1
     return results(cells, range(n_seeds), lambda label, seed: Run(success=rates[label]))
 
 
 def test_a_factorial_report_begins_with_what_each_factor_does_the_largest_first():
     report = build_report(factorial(), ["one"])
-    assert [claim.partition(":")[0] for claim in report.claims[:3]] == [
-        "buffer",
-        "algorithm",
-        "gamma",
-    ]
-    assert report.claims[0].startswith("buffer: her_future (91.7 % [")
-    assert ") minus replay (0.0 % [" in report.claims[0]
-    assert "averaged over other factors: +91.7 points [" in report.claims[0]
-    assert report.claims[0].endswith("p < 0.001.")
-    assert report.claims[3].startswith(
-        "“sac, her_future, gamma=0.95” has the highest final success: 100.0 %"
-    )
+    by_size = ["buffer", "algorithm", "gamma"]
+    buffer, *_ = report.claims
+    assert [claim.partition(":")[0] for claim in report.claims[:3]] == by_size
+    assert buffer.startswith("buffer: her_future (91.7 % [")
+    assert ") minus replay (0.0 % [" in buffer
+    assert "averaged over other factors: +91.7 points [" in buffer
+    assert buffer.endswith("p < 0.001.")
+    best = "“sac, her_future, gamma=0.95” has the highest final success: 100.0 %"
+    assert report.claims[3].startswith(best)
     readable = [content for content in section_contents(report) if content.readable_tables]
     assert readable[0].id == "factors"
     factors, levels = readable[0].readable_tables
-    assert [factors.columns[0].write(row) for row in factors.rows] == [
-        "buffer",
-        "algorithm",
-        "gamma",
-    ]
+    assert [factors.columns[0].write(row) for row in factors.rows] == by_size
     assert factors.columns[3].write(factors.rows[0]).startswith("+91.7 [")
     assert len(levels.rows) == 7
     assert report.drawn_pairs == ()
@@ -295,35 +265,21 @@ def test_the_map_shows_the_two_factors_that_do_most():
     assert caption.startswith("Mean final success by buffer and algorithm, in %")
 
 
-def test_cells_that_fail_are_named_where_many_are_indistinguishable():
-    report = build_report(factorial(2, her=0.4), ["one"])
-    (claim,) = (claim for claim in report.claims if "is indistinguishable from" in claim)
-    assert "is indistinguishable from 11 others" in claim
-    assert "That is not equal: “sac, replay, gamma=0.9”, " in claim
-    assert " and 2 more succeed in 0.0 % [" in claim
-
-
 def matched(report):
     return {(report.cell(pair.a).label, report.cell(pair.b).label) for pair in report.pairs}
 
 
 def test_a_contrast_compares_matched_cells():
     report = build_report(factorial(), ["one"], contrast="buffer:her_future-replay")
-    others = [
-        f"{algorithm}, {{}}, gamma={gamma}"
-        for algorithm in ("sac", "td3", "ddpg")
-        for gamma in (0.9, 0.95)
-    ]
+    others = product(("sac", "td3", "ddpg"), (0.9, 0.95))
     assert matched(report) == {
-        (label.format("her_future"), label.format("replay")) for label in others
+        (f"{name}, her_future, gamma={gamma}", f"{name}, replay, gamma={gamma}")
+        for name, gamma in others
     }
-    assert (
-        "6 pairs of cells that differ in one factor alone, buffer:her_future-replay."
-        in report.family
-    )
+    family = "6 pairs of cells that differ in one factor alone, buffer:her_future-replay."
+    assert family in report.family
     assert report.drawn_pairs == report.pairs
-    pair = report.pairs[0]
-    assert pair.p_corrected == pytest.approx(6 * pair.p)
+    assert report.pairs[0].p_corrected == pytest.approx(6 * report.pairs[0].p)
 
 
 def test_a_control_is_matched_in_the_factors_that_it_has():
@@ -341,10 +297,6 @@ def test_levels_of_a_contrast_may_be_numbers_with_hyphens():
     ("contrast", "message"),
     [
         ("bufer:her_future-replay", "these cells do not differ in 'bufer'; did you mean 'buffer'?"),
-        (
-            "algorithm.name:sac-td3",
-            "these cells do not differ in 'algorithm.name'; did you mean 'algorithm'?",
-        ),
         ("buffer:her_futur-replay", "buffer has no level 'her_futur'; did you mean 'her_future'?"),
         ("gamma:0.95-0.8", "gamma has no level '0.8'; did you mean '0.9'?"),
         ("gamma:0.9-0.90", "no two of these cells differ in gamma alone"),
@@ -357,25 +309,18 @@ def test_an_unknown_factor_or_level_of_a_contrast_is_a_sentence(contrast, messag
 
 
 @pytest.mark.parametrize(
-    ("n_evaluations", "sentence"),
+    ("n_evaluations", "sentences"),
     [
-        (
-            1,
-            "There are no learning curves and times to 90 %: no run was evaluated more than once. ",
-        ),
-        (2, "There are no times to 90 %: no run was evaluated more than twice. "),
-        (3, None),
+        (1, ["There are no learning curves and times to 90 %: no run was evaluated more than once. "]),
+        (2, ["There are no times to 90 %: no run was evaluated more than twice. "]),
+        (3, []),
     ],
-)
-def test_a_report_says_why_it_has_no_curves(n_evaluations, sentence):
+)  # fmt: skip
+def test_a_report_says_why_it_has_no_curves(n_evaluations, sentences):
     report = content(ALGORITHMS, look=lambda *_: Run(curve=[0.8] * n_evaluations))
     (curves,) = (part for part in section_contents(report) if part.id == "curves")
-    expected = (
-        [f"{sentence}A smaller evaluation.every_n_steps evaluates runs more often."]
-        if sentence
-        else []
-    )
-    assert curves.text == expected
+    remedy = "A smaller evaluation.every_n_steps evaluates runs more often."
+    assert curves.text == [f"{sentence}{remedy}" for sentence in sentences]
 
 
 @pytest.mark.parametrize(
@@ -384,10 +329,8 @@ def test_a_report_says_why_it_has_no_curves(n_evaluations, sentence):
         (GOALS, ["buffer.n_sampled_goal"]),
         ({n: GOALS[n] for n in ("1", "2")}, []),  # a pair says the same
         (ALGORITHMS, []),
-        (
-            {str(n): {"algorithm.gamma": 0.9 + n / 1000} for n in range(20)},
-            [],
-        ),  # drawn from a range
+        # drawn from a range
+        ({str(n): {"algorithm.gamma": 0.9 + n / 1000} for n in range(20)}, []),
     ],
 )
 def test_a_series_of_numbers_has_main_effects_and_a_list_has_none(cells, crossed_factors):
@@ -447,13 +390,10 @@ def test_a_contrast_that_is_left_out_is_warned_of():
     report = content(cells, [0], rising, cells=["gamma=0.5,0.53"])
     assert compared(report) == [("5", "53")]
     (warning,) = (warning for warning in report.warnings if "contrast" in warning)
-    assert warning.startswith("2 of 3 declared contrasts lack a selected cell with finished runs")
+    assert warning.startswith("2 of 3 contrasts lack a selected cell with finished runs")
     assert warning.endswith(": gamma=0.5 minus gamma=0.9 and gamma=0.5 minus gamma=0.51.")
-    unfinished = content(
-        cells,
-        [0],
-        lambda label, seed: Run(status="failed") if label == "1" else rising(label, seed),
-    )
+    looks = {"1": Run(status="failed")}
+    unfinished = content(cells, [0], lambda label, seed: looks.get(label, rising(label, seed)))
     assert [text for text in unfinished.warnings if "contrast" in text] == [warning]
 
 
@@ -461,10 +401,8 @@ def test_a_contrast_that_is_left_out_is_warned_of():
 def test_contrasts_that_cannot_be_read_are_warned_of(text):
     cells = {"a": {"contrasts": text}, "b": {"algorithm.gamma": 0.5, "contrasts": text}}
     report = content(cells)
-    assert (
-        len(report.pairs) == 1
-        and sum("contrasts can't be read" in warning for warning in report.warnings) == 1
-    )
+    assert len(report.pairs) == 1
+    assert "one: its contrasts can't be read." in report.warnings
 
 
 def test_contrasts_name_cells_as_a_report_on_their_experiment_does():
@@ -476,38 +414,34 @@ def test_contrasts_name_cells_as_a_report_on_their_experiment_does():
 
 
 def test_a_report_in_between_takes_a_crossed_design_with_a_cell_that_has_no_result():
-    report = content(
-        crossed(),
-        [0],
-        lambda label, seed: Run(status="running") if label == "final4" else Run(),
-        quick=True,
-    )
+    looks = {"final4": Run(status="running")}
+    report = content(crossed(), [0], lambda label, _: looks.get(label, Run()), quick=True)
     assert len(report.cells) == 4 and report.effects
 
 
+def chosen(groups, *asked):
+    return {cell.label for cell in choose_cells(groups, asked)}
+
+
 def test_cells_are_chosen_by_label_pattern_and_config():
-    groups = group(results(crossed(), [0]).runs)
-
-    def labels(*asked):
-        return {cell.label for cell in choose(groups, asked)}
-
-    final, future = (
-        {f"her_{name}, n_sampled_goal={n}" for n in (1, 4)} for name in ("final", "future")
-    )
-    four = {label for label in final | future if label.endswith("=4")}
-    assert (
-        labels("her_final, n_sampled_goal=4")
-        == labels("her_final", "buffer.n_sampled_goal=4")
-        == final & four
-    )
-    assert labels("her_fu*") == future
-    assert labels("buffer=her_final,her_future", "n_sampled_goal=4.0") == four
+    groups = group_runs(results(crossed(), [0]).runs)
+    final = {"her_final, n_sampled_goal=1", "her_final, n_sampled_goal=4"}
+    future = {"her_future, n_sampled_goal=1", "her_future, n_sampled_goal=4"}
+    four = {"her_final, n_sampled_goal=4", "her_future, n_sampled_goal=4"}
+    assert chosen(groups, "her_final, n_sampled_goal=4") == final & four
+    assert chosen(groups, "her_final", "buffer.n_sampled_goal=4") == final & four
+    assert chosen(groups, "her_fu*") == future
+    assert chosen(groups, "buffer=her_final,her_future", "n_sampled_goal=4.0") == four
     report = content(crossed(), [0], cells=["her_final"])
     assert [cell.label for cell in report.cells] == ["n_sampled_goal=1", "n_sampled_goal=4"]
     assert set(report.provenance.left_out) == future
+
+
+def test_values_of_a_config_may_be_written_otherwise():
     other = {"algorithm.net_arch": "[16, 16]", "algorithm.gamma": 0.002}
-    groups = group(results({"a": other, "b": {}}, [0]).runs)
-    assert labels("gamma=2e-3") == labels("algorithm.net_arch=[16,16]") == {groups[0].label}
+    groups = group_runs(results({"a": other, "b": {}}, [0]).runs)
+    assert chosen(groups, "gamma=2e-3") == {groups[0].label}
+    assert chosen(groups, "algorithm.net_arch=[16,16]") == {groups[0].label}
 
 
 @pytest.mark.parametrize(
@@ -519,9 +453,9 @@ def test_cells_are_chosen_by_label_pattern_and_config():
     ],
 )
 def test_an_unknown_cell_is_an_error_that_names_it(asked, parts):
-    groups = group(results({"a": {"buffer.name": "her_final"}, "b": {}}, [0]).runs)
+    groups = group_runs(results({"a": {"buffer.name": "her_final"}, "b": {}}, [0]).runs)
     with pytest.raises(ConfigError, match=parts):
-        choose(groups, [asked])
+        choose_cells(groups, [asked])
     with pytest.raises(ConfigError):
         find_cell(groups, asked, "baseline")
     with pytest.raises(ConfigError, match=r"baseline=her_\*: 2 cells fit"):
@@ -530,12 +464,7 @@ def test_an_unknown_cell_is_an_error_that_names_it(asked, parts):
 
 def test_an_ambiguous_baseline_is_looked_up_among_the_chosen_cells():
     sparse = {"env.name": "parking_sparse"}
-    cells = {
-        "her": {},
-        "replay": REPLAY,
-        "sparse-her": sparse,
-        "sparse-replay": {**sparse, **REPLAY},
-    }
+    cells = {"her": {}, "replay": REPLAY, "sparse": sparse, "sparse-replay": {**sparse, **REPLAY}}
     with pytest.raises(ConfigError, match=r"baseline=replay: 2 cells fit"):
         content(cells, baseline="replay")
     report = content(cells, cells=["env=parking_sparse"], baseline="replay")
@@ -557,12 +486,8 @@ def test_a_baseline_without_a_finished_run_is_refused_and_a_quick_report_compare
 
 
 def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts():
-    def look(_, seed):
-        return Run(
-            success=0.2 if seed else 0.8, status="failed" if seed else "done", columns={"seed": 0}
-        )
-
-    report = content({"sac": {}}, [0, 1], look)
+    looks = [Run(columns={"seed": 0}), Run(0.2, status="failed", columns={"seed": 0})]
+    report = content({"sac": {}}, [0, 1], lambda _, seed: looks[seed])
     assert [seed.success for seed in report.cells[0].seeds] == [0.8]
     assert any("has the same seed" in line for line in report.warnings)
 
@@ -570,12 +495,9 @@ def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts():
 def test_levels_that_do_not_differ_are_said_to_be_indistinguishable():
     rng = np.random.default_rng(5)
     rates = {(label, seed): rng.choice([0.4, 0.6, 0.8]) for label in crossed() for seed in range(4)}
-    claims = content(
-        crossed(), range(4), lambda label, seed: Run(success=rates[label, seed])
-    ).claims
-    assert (
-        sum(claim.startswith(("buffer: levels", "n_sampled_goal: levels")) for claim in claims) == 2
-    )
+    report = content(crossed(), range(4), lambda label, seed: Run(success=rates[label, seed]))
+    claims = report.claims
+    assert sum(": levels are indistinguishable; " in claim for claim in claims) == 2
     assert not any("is better than" in claim for claim in claims)
 
 
@@ -583,15 +505,11 @@ def test_levels_are_compared_only_where_the_crossing_is_complete():
     cells = crossed(goals=(1, 2, 4))
     for removed, complete in (("final4", [False, False]), ("future1", [])):
         del cells[removed]
-        incomplete = content(
+        report = content(
             cells, look=lambda label, seed: Run(success=0.2 * (seed + ("future" in label)))
         )
-        assert [effect.complete for effect in incomplete.effects] == complete
-        assert not [
-            claim
-            for claim in incomplete.claims
-            if claim.startswith(("buffer: ", "n_sampled_goal: "))
-        ]
+        assert [effect.complete for effect in report.effects] == complete
+        assert not any("averaged over other factors" in claim for claim in report.claims)
 
 
 def test_labels_name_the_experiment_if_there_are_several_and_equal_configs_are_warned_of():
@@ -608,6 +526,5 @@ def test_labels_name_the_experiment_if_there_are_several_and_equal_configs_are_w
 def test_problems_of_results_are_warnings_and_the_first_few_are_named():
     frames = replace(results({"sac": {}}), problems=tuple(f"problem {n}" for n in range(7)))
     report = build_report(frames, ["one"])
-    assert [line for line in report.warnings if line.startswith("problem")] == [
-        f"problem {n}" for n in range(5)
-    ]
+    problems = [line for line in report.warnings if line.startswith("problem")]
+    assert problems == [f"problem {n}" for n in range(5)]

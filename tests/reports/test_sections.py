@@ -5,7 +5,7 @@ from support import report_factory
 from parking_exp.figure_style import new_figure
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.report_page import render_page
-from parking_exp.reports.sections import Figure, Section, draw, section_contents, sections_of
+from parking_exp.reports.sections import Section, SectionFigure, draw, section_contents, sections_of
 from parking_exp.reports.tables.table import (
     Table,
     cell_column,
@@ -35,7 +35,7 @@ SLOW = Section(
     "slow",
     "Too slow",
     text=lambda report: [f"{len(report.cells)} cells were given 100 steps an episode."],
-    figures=[Figure("timeouts", "Timeouts", timeout_bars)],
+    figures=[SectionFigure("timeouts", "Timeouts", timeout_bars)],
     tables=[timeouts],
 )
 

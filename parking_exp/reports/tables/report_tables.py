@@ -186,14 +186,6 @@ def pairs(report: ReportData) -> Iterator[Table]:
                 note="Mann and Whitney's test of the ranks of seeds",
             ),
             column(
-                "A better than B (%)",
-                "improvement",
-                formats.percent,
-                note="probability that a seed of A is better than one of B",
-                paper=False,
-            ),
-            column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability, paper=False),
-            column(
                 "In words",
                 "verdict",
                 lambda verdict: formats.VERDICTS[verdict].table,

@@ -1,0 +1,60 @@
+"""What exactly was run: versions, commits, machines and settings of a report's runs."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import pandas as pd
+
+from parking_exp.config.cell_labels import can_matter, differing_keys
+from parking_exp.reports.cell_selection import CellRuns
+from parking_exp.reports.report_data import Provenance, UnfinishedRun
+
+VERSION = "version."
+SHORT_COMMIT = 10
+REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rerun the sweep"}
+
+
+def collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:
+    """Return the provenance of cells; `left_out` are labels of their experiments' other cells."""
+    runs = pd.concat([cell.runs for cell in cells])
+    versions = {}
+    for column in runs:
+        package = str(column).removeprefix(VERSION)
+        if package != column and runs[column].notna().any():
+            versions[package] = _count_values(runs[column])
+    marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
+
+    configs = [cell.config for cell in cells]
+    difference = {key: [config.get(key) for config in configs] for key in differing_keys(configs)}
+    common = {
+        key: value for key, value in configs[0].items() if can_matter(key) and key not in difference
+    }
+    return Provenance(
+        versions=versions,
+        commits=_count_values(runs["git_commit"].str[:SHORT_COMMIT] + marks),
+        machines=_count_values(runs["cpu"]),
+        difference=difference,
+        common=common,
+        unfinished=list(_list_unfinished(cells)),
+        uri=uri,
+        left_out=left_out,
+        first=_write_time(runs["started"].min()),
+        last=_write_time(runs["ended"].max()),
+    )
+
+
+def _list_unfinished(cells: Sequence[CellRuns]) -> Iterator[UnfinishedRun]:
+    for cell in cells:
+        runs = cell.runs[~cell.runs["is_done"]].astype(object)
+        for run in runs.where(runs.notna(), None).to_dict("records"):
+            status = str(run["status"])
+            reason = run["error"] or REASONS.get(status, "no reason is known")
+            yield UnfinishedRun(cell.label, int(run["seed"]), status, reason, run["run_dir"])
+
+
+def _write_time(time: pd.Timestamp) -> str | None:
+    return None if pd.isna(time) else time.isoformat(timespec="seconds")
+
+
+def _count_values(values: pd.Series) -> dict[str, int]:
+    return {str(value): count for value, count in Counter(values.dropna()).most_common()}
