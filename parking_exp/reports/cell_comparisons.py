@@ -34,20 +34,13 @@ CHOSEN_BY_RESULT = (
 )
 
 
-class Contrasts(NamedTuple):
-    """Pairs of cells that were chosen before their results were seen."""
-
-    pairs: Sequence[tuple[str, str]]  # ids of cells
-    source: str  # ends a sentence that begins with their number
-
-
 class Family(NamedTuple):
     """Pairs of cells that are compared together.
 
     Attributes:
         sentence: declares them.
         reference: id of the cell that is part of all of them, if any.
-        declared: whether they are contrasts.
+        declared: whether they are contrasts, which were chosen before the results were seen.
     """
 
     couples: Sequence[tuple[Cell, Cell]] = ()
@@ -56,7 +49,9 @@ class Family(NamedTuple):
     declared: bool = False
 
 
-def choose_family(cells: Sequence[Cell], baseline: str | None, contrasts: Contrasts) -> Family:
+def choose_family(
+    cells: Sequence[Cell], baseline: str | None, contrasts: Sequence[tuple[str, str]]
+) -> Family:
     """Return the pairs that a report compares, of cells given by their ids.
 
     These are all cells against the baseline, else the contrasts, else all pairs or, where cells are
@@ -66,9 +61,9 @@ def choose_family(cells: Sequence[Cell], baseline: str | None, contrasts: Contra
     if baseline in rated:
         return _compare_with(rated[baseline], rated, "the baseline")
 
-    declared = [(rated[a], rated[b]) for a, b in contrasts.pairs if a in rated and b in rated]
+    declared = [(rated[a], rated[b]) for a, b in contrasts if a in rated and b in rated]
     if declared:
-        words = f"{plural(len(declared), 'pair')} {contrasts.source}"
+        words = plural(len(declared), "declared contrast")
         return Family(declared, FAMILY.format(words), declared=True)
 
     if len(rated) > ALL_PAIRS_UP_TO:
@@ -84,11 +79,11 @@ def choose_family(cells: Sequence[Cell], baseline: str | None, contrasts: Contra
 
 
 def _compare_with(reference: Cell, rated: Mapping[str, Cell], name: str) -> Family:
-    others = [cell for cell in rated.values() if cell is not reference]
-    if not others:
+    couples = [(cell, reference) for cell in rated.values() if cell is not reference]
+    if not couples:
         return Family()
-    words = f"{plural(len(others), 'cell')} against {name}"
-    return Family([(cell, reference) for cell in others], FAMILY.format(words), reference.id)
+    words = f"{plural(len(couples), 'cell')} against {name}"
+    return Family(couples, FAMILY.format(words), reference.id)
 
 
 def compare_pairs(couples: Sequence[tuple[Cell, Cell]]) -> list[Pair]:

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import product
-from typing import Any
 
-import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter
 
@@ -42,7 +40,6 @@ class CellRuns:
         settings: value of each factor.
         runs: rows of `Results.runs` by seed, with `is_done`. Of runs with equal seeds it has the
             one that is done, or else is newer.
-        n_repeated: runs left out for another one with the same seed.
     """
 
     experiment: str
@@ -51,7 +48,6 @@ class CellRuns:
     settings: dict[str, Setting]
     config: Config
     runs: pd.DataFrame
-    n_repeated: int
 
     @property
     def key(self) -> tuple[str, str]:
@@ -62,11 +58,6 @@ class CellRuns:
     def task(self) -> str:
         """Name of its task; configs of early exports have parking alone."""
         return str(self.config.get("env.task", "parking"))
-
-    @property
-    def begun(self) -> pd.Timestamp:
-        """When its first run was started."""
-        return self.runs["started"].min()
 
     @property
     def done(self) -> pd.DataFrame:
@@ -93,33 +84,25 @@ def _make_cell(rows: pd.DataFrame) -> CellRuns:
     config_columns = [column for column in rows if str(column).startswith(CONFIG)]
     configs = rows[config_columns].dropna(how="all")  # a damaged file gives no config
     newest = rows.drop(columns=config_columns).sort_values(["seed", "is_done"], kind="stable")
-    once = newest.drop_duplicates("seed", keep="last")
     return CellRuns(
         experiment=str(rows["experiment"].iloc[0]),
         name=str(rows["cell"].iloc[0]),
         label="",
         settings={},
         config=_read_config(configs),
-        runs=once,
-        n_repeated=len(rows) - len(once),
+        runs=newest.drop_duplicates("seed", keep="last"),
     )
 
 
 def _read_config(configs: pd.DataFrame) -> dict[str, Setting]:
     """Return the first config. Frames do not distinguish a null from a missing key."""
-    config: dict[str, Setting] = {}
-    for column in configs:
-        value = configs[column].iloc[0] if len(configs) else None
-        if pd.notna(value):
-            config[str(column).removeprefix(CONFIG)] = _to_plain(value)
+    config = {}
+    for row in configs.head(1).to_dict("records"):
+        for column, value in row.items():
+            if pd.notna(value):
+                is_infinite = value in (math.inf, -math.inf)  # JSON has no such number
+                config[str(column).removeprefix(CONFIG)] = str(value) if is_infinite else value
     return config
-
-
-def _to_plain(value: Any) -> Setting:
-    plain = value.item() if isinstance(value, np.generic) else value
-    if isinstance(plain, float) and math.isinf(plain):
-        return str(plain)  # JSON has no infinity
-    return plain
 
 
 def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
@@ -270,7 +253,7 @@ def find_contrasts(
 
 
 def _read_contrasts(cells: Sequence[CellRuns]) -> list[tuple[str, str]]:
-    first = min(cells, key=lambda cell: cell.begun)
+    first = min(cells, key=lambda cell: cell.runs["started"].min())
     text = str(first.config.get("contrasts"))
     return CONTRASTS.validate_python(ast.literal_eval(text)) or []
 

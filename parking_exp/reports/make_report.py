@@ -35,10 +35,9 @@ from parking_exp.tracking.store import Store
 
 
 class ReportSource(NamedTuple):
-    """What a report is made of: results of experiments, their names, and an export's search."""
+    """What a report is made of: results of experiments, and an export's search."""
 
     results: Results
-    experiments: list[str]
     tuning: Tuning | None = None
 
 
@@ -75,12 +74,12 @@ def _read_source(request: ReportRequest, show: Callable[[str], None]) -> ReportS
         results = load(request.experiments, uri=request.tracking.uri)
     else:
         results = _read_own_store(request, show)
-    names = list(dict.fromkeys(results.runs["experiment"]))
+    names = results.runs["experiment"].unique()
     if request.experiments is None and len(names) > 1:
         raise ConfigError(
             f"experiment: the store has several; name one or more of {', '.join(names)}"
         )
-    return ReportSource(results, request.experiments or names)
+    return ReportSource(results)
 
 
 def _read_own_store(request: ReportRequest, show: Callable[[str], None]) -> Results:
@@ -105,7 +104,7 @@ def _read_own_store(request: ReportRequest, show: Callable[[str], None]) -> Resu
 def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
     report = build_report(
         source.results,
-        source.experiments,
+        request.experiments or list(source.results.runs["experiment"].unique()),
         cells=request.cells_asked,
         baseline=request.baseline,
         contrast=request.contrast,
@@ -136,19 +135,18 @@ def write_report_export(
     """Write the export of a report: all of its experiments, or the runs of its cells alone."""
     results = _select_cells(source.results, report) if only_cells else source.results
     tuning = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
-    write_export(results, folder, {"experiments": source.experiments, "report": {"tuning": tuning}})
+    write_export(results, folder, {"report": {"tuning": tuning}})
 
 
 def read_report_export(folder: str) -> ReportSource:
     """Return what the export of a report has."""
     results = read_export(folder)
     try:
-        experiments = TypeAdapter(list[str]).validate_python(results.about["experiments"])
         tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
     except (ValidationError, KeyError, AttributeError) as error:
         path = Path(folder) / REPORT
         raise ResultsError(f"{path} can't be read: it does not describe a report") from error
-    return ReportSource(results, experiments, tuning)
+    return ReportSource(results, tuning)
 
 
 def _select_cells(results: Results, report: ReportData) -> Results:

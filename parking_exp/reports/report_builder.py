@@ -10,12 +10,7 @@ from parking_exp import __version__
 from parking_exp.config.cell_labels import Factor
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_selection, report_warnings
-from parking_exp.reports.cell_comparisons import (
-    Contrasts,
-    choose_family,
-    compare_levels,
-    compare_pairs,
-)
+from parking_exp.reports.cell_comparisons import choose_family, compare_levels, compare_pairs
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.cell_summaries import split_by_run, summarise_cell
 from parking_exp.reports.findings import describe_findings
@@ -34,7 +29,7 @@ class Selection(NamedTuple):
     cells: list[CellRuns]
     factors: list[Factor]
     baseline: str | None  # id of the cell
-    contrasts: Contrasts
+    contrasts: list[tuple[str, str]]  # ids of the cells
     warnings: list[str]  # of contrasts that are left out
     left_out: list[str]  # labels of the other cells
 
@@ -79,7 +74,7 @@ def build_report(
         _refuse_unfinished(reference or summaries, f"baseline={baseline}")
 
     family = choose_family(summaries, selection.baseline, selection.contrasts)
-    always_shown = {selection.baseline, *chain(*selection.contrasts.pairs)}
+    always_shown = {selection.baseline, *chain(*selection.contrasts)}
     report = ReportData(
         title=" and ".join(experiments),
         experiments=list(experiments),
@@ -101,14 +96,14 @@ def build_report(
     )
     warnings = [
         *selection.warnings,
-        *report_warnings.find_incomparable(report, selection.cells),
+        *report_warnings.find_incomparable(report),
         *results.problems[:MAX_PROBLEMS],
     ]
     return replace(
         report,
         claims=list(describe_findings(report)),
         warnings=list(dict.fromkeys(warnings)),
-        missing=list(report_warnings.find_missing(report, set(results.runs["experiment"]))),
+        missing=list(report_warnings.find_missing(report)),
         notes=list(_write_notes(report)),
     )
 
@@ -128,30 +123,29 @@ def _select(
     ids = {cell.key: f"c{number}" for number, cell in enumerate(labelled)}
     if contrast is None:
         pairs, untested, warnings = cell_selection.find_contrasts(cells)
-        source = "that the experiment declares as contrasts"
     else:
         pairs = cell_selection.match_cells(labelled, factors, contrast)
         untested, warnings = [], []
-        source = f"of cells that differ in one factor alone, {contrast}"
 
-    tested = []
+    contrasts = []
     for first, second in pairs:
         is_selected = first.key in ids and second.key in ids
         if is_selected and len(first.done) and len(second.done):
-            tested.append((ids[first.key], ids[second.key]))
+            contrasts.append((ids[first.key], ids[second.key]))
         else:
             untested.append(f"{first.label} minus {second.label}")
     if untested:
+        n_contrasts = len(contrasts) + len(untested)
         warnings.append(
-            f"{len(untested)} of {len(tested) + len(untested)} contrasts lack a selected cell with "
-            "finished runs, and p is corrected for the others only: "
+            f"{len(untested)} of {n_contrasts} contrasts lack a selected cell with finished runs, "
+            "and p is corrected for the others only: "
             f"{report_warnings.list_names(untested)}."
         )
     return Selection(
         labelled,
         factors,
         baseline=ids[reference.key] if reference else None,
-        contrasts=Contrasts(tested, source),
+        contrasts=contrasts,
         warnings=warnings,
         left_out=[cell.label for cell in cells if cell not in selected],
     )
@@ -166,18 +160,13 @@ def _refuse_unfinished(cells: Sequence[Cell], override: str, hint: str = "") -> 
 def _choose_shown(cells: Sequence[Cell], always: Collection[str | None]) -> list[str]:
     """Return the ids of the cells in figures, in the order of the report: all, or the best of many.
 
-    Those in `always` come first, then controls, which lack one of the keys.
+    Of many, those in `always` are shown, too, and controls, which lack one of the keys.
     """
     if len(cells) <= SHOWN_WHOLE:
         return [cell.id for cell in cells]
-
-    def order(cell: Cell) -> tuple[bool, bool, float]:
-        is_control = None in cell.settings.values()
-        return cell.id not in always, not is_control, -(cell.success.value or -1.0)
-
-    n_always = sum(cell.id in always for cell in cells)
-    best = sorted(cells, key=order)[: max(SHOWN, n_always)]
-    return [cell.id for cell in cells if cell in best]
+    best = sorted(cells, key=lambda cell: cell.success.value or 0.0, reverse=True)[:SHOWN]
+    controls = [cell for cell in cells if None in cell.settings.values()]
+    return [cell.id for cell in cells if cell in best or cell in controls or cell.id in always]
 
 
 def _write_notes(report: ReportData) -> Iterator[str]:

@@ -3,6 +3,7 @@
 `report_builder` makes them. Rates are in 0 ... 1. None: not known.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -181,6 +182,11 @@ class ReportData:
     def cell(self, cell_id: str) -> Cell:
         """Return a cell by its id."""
         return next(cell for cell in self.cells if cell.id == cell_id)
+
+    @property
+    def stages(self) -> Counter[str]:
+        """The number of runs that are done, running, failed and pending, where there are some."""
+        return sum((Counter(cell.counts) for cell in self.cells), Counter())
 
     @property
     def labels(self) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,9 +33,6 @@ def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
     style = (TEMPLATES / "page.css").read_text(encoding="utf-8")
     script = (TEMPLATES / "page.js").read_text(encoding="utf-8")
 
-    stages: Counter[str] = Counter()
-    for cell in report.cells:
-        stages += Counter(cell.counts)  # leaves out those without a run
     swatches = {}
     for cell_id in report.shown:
         look = cell_style(cell_id)
@@ -48,7 +44,6 @@ def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
         script_hash=_to_base64(hashlib.sha256(script.encode()).digest()),
         sections=[part for part in contents if part.text or part.pictures or part.readable_tables],
         swatches=swatches,
-        stages=stages,
     )
 
 

@@ -1,11 +1,9 @@
 """The warnings of a report, in sentences: few seeds, mixed conditions, missing runs."""
 
-from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from parking_exp.config.cell_labels import Setting
 from parking_exp.errors import plural, quoted_label
-from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import ReportData
 from parking_exp.tasks.registry import TRAINING_ONLY
 
@@ -30,8 +28,8 @@ def list_names(names: Sequence[str]) -> str:
     return f"{', '.join(few)} and {last}" if few else last
 
 
-def find_incomparable(report: ReportData, runs: Sequence[CellRuns]) -> Iterator[str]:
-    """Yield what makes numbers hard to compare, given the runs of the report's cells."""
+def find_incomparable(report: ReportData) -> Iterator[str]:
+    """Yield what makes numbers hard to compare."""
     cells = report.cells
     few = [cell.success.n for cell in cells if cell.success.n < ENOUGH_SEEDS]
     if few:
@@ -41,40 +39,24 @@ def find_incomparable(report: ReportData, runs: Sequence[CellRuns]) -> Iterator[
         )
     yield from _find_mixed_origins(report)
     yield from _find_mixed_settings(report)
-    for note in dict.fromkeys(cell.note for cell in cells if cell.note):
-        yield f"{list_names([cell.label for cell in cells if cell.note == note])}: {note}"
-    for cell_runs, cell in zip(runs, cells, strict=True):
-        left_out = {
-            "another has the same seed": cell_runs.n_repeated,
-            "no final success rate": sum(seed.success is None for seed in cell.seeds),
-        }
-        for reason, n in left_out.items():
-            if n:
-                yield f"{quoted_label(cell.label)}: {plural(n, 'run')} left out: {reason}."
-    # What ends a cell's name is a hash of its config.
-    for name, n in Counter(cell.name for cell in cells).items():
-        if n > 1:
-            same = [cell.label for cell in cells if cell.name == name]
-            yield (
-                f"{list_names(same)} have the same config: runs with equal seeds are duplicates, "
-                "not replicates."
-            )
+    for cell in cells:
+        label = quoted_label(cell.label)
+        if cell.note:
+            yield f"{label}: {cell.note}"
+        n_blank = sum(seed.success is None for seed in cell.seeds)
+        if n_blank:
+            yield f"{label}: {plural(n_blank, 'run')} left out: no final success rate."
 
 
-def find_missing(report: ReportData, stored: Container[str]) -> Iterator[str]:
-    """Yield which runs have no result, and which experiments have none of the stored runs."""
-    total: Counter[str] = Counter()
-    for cell in report.cells:
-        total.update(cell.counts)
-    stages = [f"{total[stage]} {words}" for stage, words in WAITING.items() if total[stage]]
+def find_missing(report: ReportData) -> Iterator[str]:
+    """Yield which runs have no result."""
+    runs = report.stages
+    stages = [f"{runs[stage]} {words}" for stage, words in WAITING.items() if runs[stage]]
     if stages:
-        yield f"Runs done: {total['done']} of {total.total()}; {', '.join(stages)}."
+        yield f"Runs done: {runs['done']} of {runs.total()}; {', '.join(stages)}."
     empty = [cell.label for cell in report.cells if not cell.counts["done"]]
     if empty:
         yield f"No run is done of {list_names(empty)}."
-    for name in report.experiments:
-        if name not in stored:
-            yield f"Experiment {name} has no runs."
 
 
 def _find_mixed_origins(report: ReportData) -> Iterator[str]:

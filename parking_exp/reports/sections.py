@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import matplotlib.figure
 
@@ -30,12 +29,6 @@ from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table, cell_record, without_constants
 from parking_exp.tasks.registry import task_reports
 from parking_exp.tasks.task import TaskFigure, TaskSection
-
-# Nothing that differs from one time to the next: the same report gives the same bytes.
-_METADATA: dict[str, dict[str, Any]] = {
-    "svg": {"Date": None, "Creator": None},
-    "png": {"Software": None},
-}
 
 
 @dataclass(frozen=True)
@@ -245,12 +238,14 @@ def draw(
 
 
 def _save(figure: matplotlib.figure.Figure, stem: Path, formats: Sequence[str]) -> bytes:
-    """Write a figure in some formats, and return it as SVG."""
-    drawings = {}
-    for kind in {"svg", *formats}:
-        buffer = BytesIO()
-        figure.savefig(buffer, format=kind, metadata=_METADATA[kind])
-        drawings[kind] = buffer.getvalue()
-    for kind in formats:
-        stem.with_name(f"{stem.name}.{kind}").write_bytes(drawings[kind])
-    return drawings["svg"]
+    """Write a figure in some formats, and return it as SVG.
+
+    The same report gives the same bytes: files say neither when nor by what they were made.
+    """
+    svg = BytesIO()
+    figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+    if "svg" in formats:
+        Path(f"{stem}.svg").write_bytes(svg.getvalue())
+    if "png" in formats:
+        figure.savefig(f"{stem}.png", metadata={"Software": None})
+    return svg.getvalue()

@@ -25,15 +25,18 @@ class Difference(Interval):
     p_corrected: float | None = None
 
 
-def compare(pairs: Sequence[tuple[Cells, Cells]], alpha: float = 0.05) -> list[Difference]:
+def compare(
+    pairs: Sequence[tuple[Cells, Cells]], alpha: float = 0.05, n_pairs: int = 0
+) -> list[Difference]:
     """Return the difference of each pair of a family: the mean of some cells' means minus others'.
 
     Bonferroni's correction makes the family's intervals simultaneous, and 0 lies outside exactly
     where the corrected p is below alpha. (Holm's smaller p has no such intervals.) Where a cell has
-    a single seed there is neither p nor interval, and the pair is no part of the family.
+    a single seed there is neither p nor interval, and the pair is no part of the family. `n_pairs`
+    is the number of pairs of a larger family.
     """
     contrasts = [contrast(a, b) for a, b in pairs]
-    family_size = max(1, sum(each.p is not None for each in contrasts))
+    family_size = max(1, n_pairs, sum(each.p is not None for each in contrasts))
 
     differences = []
     for each in contrasts:

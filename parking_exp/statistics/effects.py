@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
 from typing import Any
 
 from parking_exp.statistics.comparisons import compare
@@ -92,11 +91,11 @@ def _main_effect(
     levels = [
         Level(level, contrast(rates).interval(), len(rates)) for level, rates in cells.items()
     ]
+    effect = MainEffect(factor, levels, complete)
     if len(levels) < 2:
-        return MainEffect(factor, levels, complete)
+        return effect
 
-    ranked = sorted(levels, key=lambda level: level.mean, reverse=True)
-    pairs = list(combinations(ranked, 2))
-    differences = compare([(cells[high.level], cells[low.level]) for high, low in pairs])
-    largest = differences[pairs.index((ranked[0], ranked[-1]))]
-    return MainEffect(factor, levels, complete, largest, largest.p_corrected)
+    highest, lowest = effect.extremes
+    n_pairs = math.comb(len(levels), 2)
+    (largest,) = compare([(cells[highest.level], cells[lowest.level])], n_pairs=n_pairs)
+    return replace(effect, largest=largest, p=largest.p_corrected)

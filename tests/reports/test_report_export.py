@@ -44,9 +44,8 @@ def store(empty):
 @pytest.fixture(scope="module")
 def source(store):
     results = load("one", output_dir=store)
-    return ReportSource(
-        replace(results, problems=(f"The store lacks {store}/x: no.", *results.problems)), ["one"]
-    )
+    problems = (f"The store lacks {store}/x: no.", *results.problems)
+    return ReportSource(replace(results, problems=problems))
 
 
 @pytest.fixture(scope="module")
