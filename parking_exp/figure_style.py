@@ -1,6 +1,4 @@
-"""The style of figures: the look of each cell, labels that fit, and axes that several figures
-share.
-"""
+"""The style of figures: the look of each cell, labels that fit, and axes that figures share."""
 
 import textwrap
 import unicodedata
@@ -31,9 +29,7 @@ _LINES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2
 
 
 def report_style() -> AbstractContextManager[None]:
-    """Return a context that draws with the style of reports and matplotlib's defaults, not the
-    user's settings.
-    """
+    """Return a context that draws in the style of reports, whatever the user's settings are."""
     return matplotlib.style.context(["default", Path(__file__).with_name("report.mplstyle")])
 
 
@@ -44,9 +40,7 @@ def new_figure(height: float) -> Figure:
 
 @dataclass(frozen=True)
 class CellStyle:
-    """The look of a cell: a colour, a marker and a line style, so that colour vision is not
-    needed.
-    """
+    """The look of a cell, which can be told apart without colour vision."""
 
     colour: str
     marker: str
@@ -57,6 +51,11 @@ class CellStyle:
         """Arguments of `Axes.plot` for markers without a line."""
         return {"color": self.colour, "marker": self.marker, "linestyle": "", "markeredgewidth": 0}
 
+    @property
+    def lines(self) -> dict[str, Any]:
+        """Arguments of `Axes.plot` for a line with markers."""
+        return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
+
 
 def cell_style(cell_id: str) -> CellStyle:
     """Return the style of a cell by its id, `c0`, `c1`, ...: it is the same in all figures."""
@@ -66,21 +65,15 @@ def cell_style(cell_id: str) -> CellStyle:
 
 
 def clean(text: str) -> str:
-    """Return text without control, formatting and unassigned characters; whitespace becomes single
-    spaces.
-    """
-    kept = (
-        " " if c.isspace() else c
-        for c in text
-        if c.isspace() or not unicodedata.category(c).startswith("C")
-    )
-    return " ".join("".join(kept).split())
+    """Return text in one line, without control, formatting and unassigned characters."""
+    kept = ""
+    for word in text.split():
+        kept += " " + "".join(c for c in word if not unicodedata.category(c).startswith("C"))
+    return " ".join(kept.split())
 
 
 def wrapped_labels(cells: Sequence[Any], width: int, lines: int = 1) -> list[str]:
-    """Return a label for each cell of at most `lines` lines of `width` characters; longer ones are
-    cut at their end.
-    """
+    """Return the label of each cell in `lines` lines of `width` characters, cut at the end."""
     return [
         textwrap.fill(clean(cell.label), width, max_lines=lines, placeholder="…") for cell in cells
     ]
@@ -91,9 +84,7 @@ def _row_height(texts: Sequence[str]) -> float:
 
 
 def rows_on_page(texts: Sequence[str]) -> int:
-    """Return how many labelled rows, see `row_axes`, a figure may have that is printed in full
-    width on one page.
-    """
+    """Return how many rows of `row_axes` fit on a page."""
     return int((PAGE_IN - 0.6) / _row_height(texts))
 
 
@@ -124,4 +115,4 @@ def text_colour(background: Any) -> str:
 
 def percentages(values: Sequence[float | None]) -> np.ndarray:
     """Return shares as percentages, NaN where they are unknown. Shape (n,)."""
-    return 100 * np.array([np.nan if value is None else value for value in values], dtype=float)
+    return 100 * np.array(values, dtype=float)  # None becomes NaN

@@ -13,7 +13,6 @@ from pydantic import TypeAdapter
 from support import report_factory
 from support.searches import settings
 
-from parking_exp.errors import ResultsError
 from parking_exp.reports.figures.study_figures import (
     MIN_TRIALS,
     draw_parameter_importance,
@@ -202,16 +201,6 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
     assert [tuple(row[name] for name in columns) for row in written(whole, tmp_path / "tables")["trials"]] == [
         ("done", "0.45", "4"), ("done", "0.85", ""), ("pruned", "", "4"),
     ]  # fmt: skip
-
-
-def test_a_search_of_an_export_that_does_not_fit_together_gets_a_sentence(folder, tmp_path):
-    search = tuning(folder, [trial(0.5), trial(0.6, rate=2e-3)])
-    wrong = {
-        **search.parameters,
-        "algorithm.learning_rate": {"name": "os.system", "attributes": {}},
-    }
-    with pytest.raises(ResultsError, match="the search of smoke"):
-        draw(report(tuning=replace(search, parameters=wrong)), tmp_path, [], OWN)
 
 
 def test_without_a_search_there_is_nothing_of_it(tmp_path):

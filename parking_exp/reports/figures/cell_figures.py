@@ -12,6 +12,7 @@ from parking_exp.errors import plural
 from parking_exp.figure_style import (
     INK,
     SMALL_PT,
+    CellStyle,
     Drawing,
     cell_style,
     new_figure,
@@ -21,6 +22,7 @@ from parking_exp.figure_style import (
     wrapped_labels,
 )
 from parking_exp.reports.report_data import Cell, Curve, ReportData
+from parking_exp.statistics import SurvivalCurve
 from parking_exp.tasks.registry import FAILURES
 
 _GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are spread evenly
@@ -36,18 +38,14 @@ _LINE_90: dict[str, Any] = {
 
 def _count_seeds(counts: Sequence[int]) -> str:
     """Return e.g. `10 seeds per cell` or `3 to 10 seeds per cell`."""
-    low, high = min(counts), max(counts)
-    return (
-        f"{plural(high, 'seed')} per cell"
-        if low == high
-        else f"{low} to {plural(high, 'seed')} per cell"
-    )
+    text = f"{plural(max(counts), 'seed')} per cell"
+    return text if len(set(counts)) == 1 else f"{min(counts)} to {text}"
 
 
 def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     """Draw every seed as a point, and each cell's mean with its interval."""
     cells = report.shown_cells
-    if not any(seed.success is not None for cell in cells for seed in cell.seeds):
+    if all(cell.success.value is None for cell in cells):
         return
     figure, axes = row_axes(wrapped_labels(cells, 36, lines=3))
     axes.set_xlabel("final success (% of episodes)")
@@ -60,9 +58,8 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     yield (
         figure,
         f"Final success over the evaluation episodes. Points: seeds ({n_seeds}), spread vertically "
-        "so that "
-        "they do not overlap; bar: mean with its 95 % interval, where there is one, cut at 0 and "
-        "100 %. Dashed: 90 %.",
+        "so that they do not overlap; bar: mean with its 95 % interval, where there is one, cut at "
+        "0 and 100 %. Dashed: 90 %.",
     )
 
 
@@ -71,82 +68,69 @@ def _draw_seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
     style = cell_style(cell.id)
     rates = [100 * seed.success for seed in cell.seeds if seed.success is not None]
     if not rates:
-        in_row = axes.get_yaxis_transform()
-        axes.text(
-            0.01,
-            row,
-            "no finished seeds",
-            transform=in_row,
-            va="center",
-            style="italic",
-            fontsize=SMALL_PT,
-        )
+        at_left = axes.get_yaxis_transform()
+        font: dict[str, Any] = {"style": "italic", "fontsize": SMALL_PT}
+        axes.text(0.01, row, "no finished seeds", transform=at_left, va="center", **font)
         return
     heights = [row - 0.32 + 0.36 * (k * _GOLDEN % 1) for k in range(len(rates))]
     axes.plot(rates, heights, alpha=0.6, markersize=3.2, **style.points)
-    mean, low, high = percentages([cell.success.value, cell.success.low, cell.success.high])
-    axes.plot(
-        np.clip([low, high], 0, 100), [row + 0.24] * 2, color=style.colour, marker="|", markersize=5
-    )
+    ends = np.clip(percentages([cell.success.low, cell.success.high]), 0, 100)
+    axes.plot(ends, [row + 0.24] * 2, color=style.colour, marker="|", markersize=5)
+    mean = percentages([cell.success.value])
     axes.plot(mean, row + 0.24, markersize=4.2, **style.points)
 
 
 def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     """Draw mean success with the range of the seeds, and mean failure rate, against env steps."""
-    curves = [
-        (cell, cell.curve) for cell in report.shown_cells if cell.curve and len(cell.curve.step) > 1
-    ]
-    if not curves:
+    cells = [cell for cell in report.shown_cells if cell.curve and len(cell.curve.step) > 1]
+    if not cells:
         return
-    cells, with_seeds = [cell for cell, _ in curves], len(curves) <= _MOST_SEED_LINES
+    with_seeds = len(cells) <= _MOST_SEED_LINES
     figure = _new_figure_with_legend(3.6, cells)
     success, failure = figure.subplots(2, sharex=True, height_ratios=(2, 1))
-    for cell, curve in curves:
-        _draw_curve(success, failure, cell, curve, with_seeds=with_seeds)
+    n_seeds = []
+    for cell in cells:
+        assert cell.curve
+        n_seeds.append(len(cell.curve.seeds))
+        _draw_curve(success, failure, cell.curve, cell_style(cell.id), with_seeds=with_seeds)
     success.axhline(90, **_LINE_90)
     time_axis(success, "")
     time_axis(failure, "env steps")
     success.set(ylim=(-2, 103), ylabel="success (%)")
-    names = [name for name in FAILURES if any(name in cell.further for cell in cells)] or [
-        "failure"
-    ]
-    failure.set(ylim=(0, max(10, failure.get_ylim()[1])), ylabel=f"{' or '.join(names)} (%)")
-    n_seeds = [len(curve.seeds) for _, curve in curves]
+    names = [name for name in FAILURES if any(name in cell.further for cell in cells)]
+    failures = " or ".join(names or ["failure"])
+    failure.set(ylim=(0, max(10, failure.get_ylim()[1])), ylabel=f"{failures} (%)")
     lines = "thin lines: seeds; " if with_seeds else ""
     yield (
         figure,
         f"Evaluations during training. Above: mean success over seeds ({_count_seeds(n_seeds)}) "
-        "between the "
-        f"lowest and the highest seed; {lines}dashed: 90 %. Below: mean rate of "
-        f"{' or '.join(names)}.",
+        f"between the lowest and the highest seed; {lines}dashed: 90 %. Below: mean rate of "
+        f"{failures}.",
     )
 
 
 def _draw_curve(
-    success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds: bool
+    success: Axes, failure: Axes, curve: Curve, style: CellStyle, *, with_seeds: bool
 ) -> None:
-    style = cell_style(cell.id)
     if with_seeds:
-        for _, seed_step, rates in curve.seeds:
-            success.plot(
-                seed_step, percentages(rates), color=style.colour, linewidth=0.5, alpha=0.3
-            )
-    low, high = (np.clip(percentages(bound), 0, 100) for bound in (curve.low, curve.high))
+        for _, step, rates in curve.seeds:
+            success.plot(step, percentages(rates), color=style.colour, linewidth=0.5, alpha=0.3)
+    low = np.clip(percentages(curve.low), 0, 100)
+    high = np.clip(percentages(curve.high), 0, 100)
     success.fill_between(curve.step, low, high, color=style.colour, alpha=0.13, linewidth=0)
-    line = {"color": style.colour, "linestyle": style.line, "marker": style.marker}
-    for axes, rates in ((success, curve.mean), (failure, curve.failure)):
-        axes.plot(curve.step, percentages(rates), markevery=max(1, len(curve.step) // 7), **line)
+    every = max(1, len(curve.step) // 7)
+    success.plot(curve.step, percentages(curve.mean), markevery=every, **style.lines)
+    failure.plot(curve.step, percentages(curve.failure), markevery=every, **style.lines)
 
 
 def _new_figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
     """Return a figure with a legend of the cells at the right, at least as high as that."""
     labels = wrapped_labels(cells, 32, lines=8)
-    figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
-    styles = [cell_style(cell.id) for cell in cells]
-    lines = [
-        Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker)
-        for look in styles
-    ]
+    legend_height = 0.4
+    for label in labels:
+        legend_height += 0.14 + 0.12 * label.count("\n")
+    figure = new_figure(max(height, legend_height))
+    lines = [Line2D([], [], **cell_style(cell.id).lines) for cell in cells]
     figure.legend(lines, labels, loc="outside right upper")
     return figure
 
@@ -154,41 +138,36 @@ def _new_figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
 def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
     """Draw the share of seeds that have reached 90 %, by env steps."""
     cells = [cell for cell in report.shown_cells if cell.survival]
-    if not any(cell.survival and cell.survival.k for cell in cells):
+    curves = [cell.survival for cell in cells if cell.survival]
+    if not any(curve.k for curve in curves):
         return
     figure = _new_figure_with_legend(2.4, cells)
     axes = figure.subplots()
-    for cell in cells:
-        _draw_survival(axes, cell)
+    for cell, curve in zip(cells, curves, strict=True):
+        _draw_survival(axes, cell, curve)
     axes.set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
     time_axis(axes, "env steps")
-    n_seeds = [cell.survival.n for cell in cells if cell.survival]
+    n_seeds = _count_seeds([curve.n for curve in curves])
     yield (
         figure,
         "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier "  # noqa: RUF001
-        "estimate; "
-        f"{_count_seeds(n_seeds)}), with 95 % intervals where some have. Crosses (+): seeds not "
-        "there when their "
-        "observation ended.",
+        f"estimate; {n_seeds}), with 95 % intervals where some have. Crosses (+): seeds not there "
+        "when their observation ended.",
     )
 
 
-def _draw_survival(axes: Axes, cell: Cell) -> None:
-    style, curve = cell_style(cell.id), cell.survival
-    assert curve
-    censored = [
-        seed.steps_to_90
-        for seed in cell.seeds
-        if seed.steps_to_90 is not None and not seed.reached_90
-    ]
+def _draw_survival(axes: Axes, cell: Cell, curve: SurvivalCurve) -> None:
+    style = cell_style(cell.id)
+    censored = []
+    for seed in cell.seeds:
+        if seed.steps_to_90 is not None and not seed.reached_90:
+            censored.append(seed.steps_to_90)
     time = [0.0, *curve.times, max([*curve.times, *censored])]
     share, low, high = (
         percentages([0.0, *values, values[-1]]) for values in (curve.reached, curve.low, curve.high)
     )
     if curve.k:
         axes.fill_between(time, low, high, step="post", color=style.colour, alpha=0.07, linewidth=0)
-    axes.step(
-        time, share, where="post", color=style.colour, linestyle=style.line, marker=style.marker
-    )
+    axes.step(time, share, where="post", **style.lines)
     at = np.searchsorted(curve.times, censored)
     axes.plot(censored, share[at + 1], linestyle="", marker="+", markersize=6, color=style.colour)
