@@ -16,7 +16,14 @@ from parking_exp.config_model import NAME
 from parking_exp.errors import ParkingError, ResultsError, first_line, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.tables.table import Table, column, interval_column, record, spread
+from parking_exp.reports.tables.table import (
+    Table,
+    column,
+    interval_column,
+    record,
+    spread,
+    text_column,
+)
 from parking_exp.statistics import Interval, SeedRates, compare, mean_interval
 from parking_exp.tuning.search import study_in
 from parking_exp.tuning.trials import (
@@ -149,14 +156,14 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         return
     columns = [
         column("Trial", "number", formats.number, numeric=False),
-        column("State", "state", numeric=False),
+        text_column("State", "state"),
         column(tuning.objective, tuning.objective, formats.percent),
     ]
     for name, distribution in tuning.parameters.items():
         is_number = distribution.get("name") != "CategoricalDistribution"
         columns.append(column(name, name, _write_parameter, numeric=is_number))
     if any(trial.reason for trial in tuning.trials):
-        columns.append(column("Why it failed", "reason", numeric=False))
+        columns.append(text_column("Why it failed", "reason"))
 
     rows = []
     for trial in tuning.trials:
@@ -188,7 +195,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
         row |= spread("test", mean_interval(trial.test))
         rows.append(row | spread("difference", _compare_seeds(trial)))
     columns = [
-        column("Trial", "label", numeric=False),
+        text_column("Trial", "label"),
         interval_column("Tuning seeds", "tuning"),
         interval_column("Test seeds", "test"),
         interval_column("Tuning minus test", "difference", formats.points_interval),

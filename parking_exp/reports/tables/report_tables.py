@@ -1,13 +1,17 @@
-"""The tables of a report. Each function yields what it has; columns of rows are those of
-`tables/*.csv`.
+"""The tables of a report.
+
+Each function yields what it has; columns of rows are those of `tables/*.csv`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
+from typing import Any
+
+import pandas as pd
 
 from parking_exp.reports import formats
 from parking_exp.reports.cell_summaries import FURTHER, REPORTED
-from parking_exp.reports.report_data import ReportData
+from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.tables.table import (
     PERCENT,
     Column,
@@ -19,6 +23,7 @@ from parking_exp.reports.tables.table import (
     interval_column,
     record,
     spread,
+    text_column,
 )
 from parking_exp.statistics import Interval, Proportion
 
@@ -27,53 +32,51 @@ RATES = ("success", *(name for name in FURTHER if REPORTED[name].is_rate), "time
 
 def headline(report: ReportData) -> Iterator[Table]:
     """Yield the table of what each cell reached and what it cost."""
+    columns = [
+        cell_column(),
+        Column("Seeds", _count_finished, "seeds", given=True),
+        column("Env steps", "total_timesteps", formats.number, given=True),
+    ]
+    for name in _select_rates(report):
+        columns.append(interval_column(REPORTED[name].heading, name, paper=name != "timeout"))
+    columns += [
+        column("Lowest", "lowest", formats.percent, note="success of the worst seed"),
+        column(
+            "IQM",
+            "iqm",
+            formats.percent,
+            note="interquartile mean of success over seeds",
+            paper=False,
+        ),
+        Column(
+            "Seeds ≥ 95 %",
+            _count_reaching_95,
+            "reaching_95_k",
+            note="how many seeds ended at 95 % or above, with the exact interval of their share",
+            paper=False,
+        ),
+        column(
+            "Steps to hold 90 %",
+            "survival_median",
+            formats.number,
+            note="median of the env steps until 90 % were held for three evaluations",
+        ),
+        column(
+            REPORTED["episode_steps"].heading,
+            "episode_steps",
+            partial(formats.number, digits=1),
+            paper=False,
+        ),
+        column("CPU (s)", "cpu_s", formats.number),
+    ]
+    for name in FURTHER:
+        if not REPORTED[name].is_rate:
+            heading = REPORTED[name].heading
+            columns.append(column(heading, name, partial(formats.number, digits=2), paper=False))
     yield Table(
         "headline",
         _list_cell_rows(report),
-        [
-            cell_column(),
-            Column("Seeds", _count_finished, "seeds", given=True),
-            column("Env steps", "total_timesteps", formats.number, given=True),
-            *(
-                interval_column(REPORTED[name].heading, name, paper=name != "timeout")
-                for name in _select_rates(report)
-            ),
-            column("Lowest", "lowest", formats.percent, note="success of the worst seed"),
-            column(
-                "IQM",
-                "iqm",
-                formats.percent,
-                note="interquartile mean of success over seeds",
-                paper=False,
-            ),
-            Column(
-                "Seeds ≥ 95 %",
-                _count_reaching_95,
-                "reaching_95_k",
-                note=(
-                    "how many seeds ended at 95 % or above, with the exact interval of their share"
-                ),
-                paper=False,
-            ),
-            column(
-                "Steps to hold 90 %",
-                "survival_median",
-                formats.number,
-                note="median of the env steps until 90 % were held for three evaluations",
-            ),
-            column(
-                REPORTED["episode_steps"].heading,
-                "episode_steps",
-                partial(formats.number, digits=1),
-                paper=False,
-            ),
-            column("CPU (s)", "cpu_s", formats.number),
-            *(
-                column(REPORTED[name].heading, name, partial(formats.number, digits=2), paper=False)
-                for name in FURTHER
-                if not REPORTED[name].is_rate
-            ),
-        ],
+        columns,
         f"Final evaluation: means over seeds, {PERCENT}.",
         latex=True,
     )
@@ -81,9 +84,10 @@ def headline(report: ReportData) -> Iterator[Table]:
 
 def times(report: ReportData) -> Iterator[Table]:
     """Yield the table of how long each cell took to hold 90 %, and of the area under its curve."""
+    rows = [row for row in _list_cell_rows(report) if "survival_n" in row]
     yield Table(
         "times",
-        [row for row in _list_cell_rows(report) if "survival_n" in row],
+        rows,
         [
             cell_column(),
             Column("Reached", lambda row: f"{row['survival_k']}/{row['survival_n']}", "survival_k"),
@@ -92,8 +96,8 @@ def times(report: ReportData) -> Iterator[Table]:
             interval_column("AUC (%)", "area"),
         ],
         "Time until three evaluations in a row have 90 %, with medians where half of the seeds "
-        "reached it; area under "
-        f"the learning curve in % of the highest possible, means {PERCENT}.",
+        "reached it; area under the learning curve in % of the highest possible, means "
+        f"{PERCENT}.",
     )
 
 
@@ -104,30 +108,28 @@ def seeds(report: ReportData) -> Iterator[Table]:
         steps = formats.number(row["steps_to_90"])
         return f"> {steps}" if steps and not row["reached_90"] else steps
 
+    columns = [
+        cell_column(),
+        column("Seed", "seed"),
+        interval_column(REPORTED["success"].heading, "success"),
+    ]
+    for name in _select_rates(report)[1:]:
+        columns.append(column(REPORTED[name].heading, name, formats.percent))
+    columns += [
+        column("Episodes", "n_episodes", formats.number, given=True),
+        Column("Steps to 90 %", reached, "steps_to_90"),
+        column("CPU (s)", "cpu_s", formats.number),
+        text_column("Run", "run_id"),
+    ]
+    rows = []
+    for cell in report.cells:
+        for seed in cell.seeds:
+            row = cell_record(cell) | record(seed, without=("low", "high"))
+            rows.append(row | spread("success", Interval(seed.success, seed.low, seed.high)))
     yield Table(
         "seeds",
-        [
-            {
-                **cell_record(cell),
-                **record(seed, without=("low", "high")),
-                **spread("success", Interval(seed.success, seed.low, seed.high)),
-            }
-            for cell in report.cells
-            for seed in cell.seeds
-        ],
-        [
-            cell_column(),
-            column("Seed", "seed"),
-            interval_column(REPORTED["success"].heading, "success"),
-            *(
-                column(REPORTED[name].heading, name, formats.percent)
-                for name in _select_rates(report)[1:]
-            ),
-            column("Episodes", "n_episodes", formats.number, given=True),
-            Column("Steps to 90 %", reached, "steps_to_90"),
-            column("CPU (s)", "cpu_s", formats.number),
-            column("Run", "run_id", numeric=False),
-        ],
+        rows,
+        columns,
         "Finished runs: final rates over the evaluation episodes, with Wilson's 95 % interval in "
         "brackets.",
         folded=True,
@@ -136,41 +138,50 @@ def seeds(report: ReportData) -> Iterator[Table]:
 
 def curves(report: ReportData) -> Iterator[Table]:
     """Yield the CSV of the learning curves."""
-    names = ("step", "n", "success", "success_low", "success_high", "failure")
-    rows = [
-        {**cell_record(cell), **dict(zip(names, point, strict=True))}
-        for cell in report.cells
-        if (curve := cell.curve)
-        for point in zip(
-            curve.step, curve.n, curve.mean, curve.low, curve.high, curve.failure, strict=True
-        )
-    ]
+    rows: list[Row] = []
+    for cell in report.cells:
+        curve = cell.curve
+        if curve:
+            rows += _list_points(
+                cell,
+                step=curve.step,
+                n=curve.n,
+                success=curve.mean,
+                success_low=curve.low,
+                success_high=curve.high,
+                failure=curve.failure,
+            )
     yield Table("curves", rows)
 
 
 def survival(report: ReportData) -> Iterator[Table]:
-    """Yield the CSV of Kaplan and Meier's estimate of the env steps to 90 %; `seeds` has which are
-    censored.
-    """
-    rows = [
-        {
-            **cell_record(cell),
-            **dict(zip(("step", "reached", "reached_low", "reached_high"), point, strict=True)),
-        }
-        for cell in report.cells
-        if (curve := cell.survival)
-        for point in zip(curve.times, curve.reached, curve.low, curve.high, strict=True)
-    ]
+    """Yield the CSV of Kaplan and Meier's estimate of the env steps to 90 %."""
+    rows: list[Row] = []
+    for cell in report.cells:
+        curve = cell.survival
+        if curve:
+            rows += _list_points(
+                cell,
+                step=curve.times,
+                reached=curve.reached,
+                reached_low=curve.low,
+                reached_high=curve.high,
+            )
     yield Table("survival", rows)
+
+
+def _list_points(cell: Cell, **numbers: Sequence[Any]) -> list[Row]:
+    """Return a row for each point of a curve."""
+    points: Any = pd.DataFrame(numbers).to_dict("records")
+    return [cell_record(cell) | point for point in points]
 
 
 def pairs(report: ReportData) -> Iterator[Table]:
     """Yield the table of the pairs of cells that were compared."""
-    labels = {cell.id: cell.label for cell in report.cells}
-    rows = [
-        {"a_label": labels[pair.a], "b_label": labels[pair.b], **record(pair)}
-        for pair in report.pairs
-    ]
+    rows = []
+    for pair in report.pairs:
+        labels = {"a_label": report.cell(pair.a).label, "b_label": report.cell(pair.b).label}
+        rows.append(labels | record(pair))
     yield Table(
         "pairs",
         rows,
@@ -185,12 +196,8 @@ def pairs(report: ReportData) -> Iterator[Table]:
                 formats.probability,
                 note="Mann and Whitney's test of the ranks of seeds",
             ),
-            column(
-                "In words",
-                "verdict",
-                lambda verdict: formats.VERDICTS[verdict].table,
-                numeric=False,
-                paper=False,
+            text_column(
+                "In words", "verdict", lambda verdict: formats.VERDICTS[verdict].table, paper=False
             ),
         ],
         "Pairs of cells: difference of mean final success in percentage points, with simultaneous "
@@ -206,48 +213,42 @@ def factors(report: ReportData) -> Iterator[Table]:
     rows = []
     for effect in report.effects_by_size:
         high, low = effect.extremes
-        rows.append(
-            {
-                **record(effect),
-                "name": names[effect.factor],
-                "highest": high.level,
-                "lowest": low.level,
-            }
-        )
+        levels = {"highest": high.level, "lowest": low.level}
+        rows.append(record(effect) | {"name": names[effect.factor]} | levels)
     yield Table(
         "factors",
         rows,
         [
-            column("Factor", "name", numeric=False),
-            column("Highest", "highest", formats.setting, numeric=False),
-            column("Lowest", "lowest", formats.setting, numeric=False),
+            text_column("Factor", "name"),
+            text_column("Highest", "highest", formats.setting),
+            text_column("Lowest", "lowest", formats.setting),
             interval_column("Highest − lowest (points)", "largest", formats.difference_interval),  # noqa: RUF001
             column("p (Bonferroni)", "p", formats.probability),
         ],
         "Factors: the levels with the highest and the lowest mean over the other factors, and "
-        "their difference in "
-        "percentage points, with 95 % intervals." + _warn_of_missing_combinations(report),
+        "their difference in percentage points, with 95 % intervals."
+        f"{_warn_of_missing_combinations(report)}",
         latex=True,
     )
 
 
 def effects(report: ReportData) -> Iterator[Table]:
     """Yield the table of each factor's levels."""
+    rows = []
+    for effect in report.effects:
+        for level in effect.levels:
+            rows.append(record(effect) | record(level))
     yield Table(
         "effects",
+        rows,
         [
-            {**record(effect), **record(level)}
-            for effect in report.effects
-            for level in effect.levels
-        ],
-        [
-            column("Factor", "factor", numeric=False),
-            column("Level", "level", formats.setting, numeric=False),
+            text_column("Factor", "factor"),
+            text_column("Level", "level", formats.setting),
             interval_column("Success (%)", "effect"),
             column("Cells", "cells", formats.number),
         ],
         "Main effects: mean final success at each level over the levels of the other factors, "
-        f"{PERCENT}." + _warn_of_missing_combinations(report),
+        f"{PERCENT}.{_warn_of_missing_combinations(report)}",
         latex=True,
     )
 
@@ -258,102 +259,108 @@ def _warn_of_missing_combinations(report: ReportData) -> str:
 
 
 def config(report: ReportData) -> Iterator[Table]:
-    """Yield the settings that differ between cells: a row for each cell or, if these are fewer, for
-    each setting.
-    """
-    difference, cells = report.provenance.difference, report.cells
+    """Yield the settings that differ: a row for each cell or, if fewer, for each setting."""
+    difference = report.provenance.difference
+    cells = report.cells
     if len(difference) > len(cells):
         names = {cell.id: cell.label for cell in cells}
-        rows = [
-            {"setting": key, **dict(zip(names, values, strict=True))}
-            for key, values in difference.items()
-        ]
-        first = column("Setting", "setting", numeric=False)
+        first = text_column("Setting", "setting")
+        rows: list[dict[str, Any]] = []
+        for key, values in difference.items():
+            rows.append({"setting": key, **dict(zip(names, values, strict=True))})
     else:
         names = {key: key for key in difference}
-        rows = [
-            {**cell_record(cell), **dict(zip(names, values, strict=True))}
-            for cell, *values in zip(cells, *difference.values(), strict=True)
-            if difference
-        ]
         first = cell_column()
-    columns = [
-        first,
-        *(column(name, key, formats.setting, numeric=False) for key, name in names.items()),
-    ]
-    yield Table("config", rows, columns, "Settings that are not the same in all cells.", latex=True)
+        rows = [cell_record(cell) for cell in cells]
+        for key, values in difference.items():
+            for row, value in zip(rows, values, strict=True):
+                row[key] = value
+    columns = [first]
+    columns += [text_column(name, key, formats.setting) for key, name in names.items()]
+    yield Table(
+        "config",
+        rows if difference else [],
+        columns,
+        "Settings that are not the same in all cells.",
+        latex=True,
+    )
 
 
 def versions(report: ReportData) -> Iterator[Table]:
     """Yield the table of versions, commits and machines."""
     origin = report.provenance
     counted = {**origin.versions, "commit": origin.commits, "machine": origin.machines}
-    rows = [
-        {"what": what, "version": name, "runs": n}
-        for what, counts in counted.items()
-        for name, n in counts.items()
-    ]
-    columns = [
-        column("What", "what", numeric=False),
-        column("Version", "version", numeric=False),
-        column("Runs", "runs", formats.number, given=True),
-    ]
-    yield Table("versions", rows, columns, "Versions, commits and machines.")
+    rows = []
+    for what, counts in counted.items():
+        rows += [{"what": what, "version": name, "runs": n} for name, n in counts.items()]
+    yield Table(
+        "versions",
+        rows,
+        [
+            text_column("What", "what"),
+            text_column("Version", "version"),
+            column("Runs", "runs", formats.number, given=True),
+        ],
+        "Versions, commits and machines.",
+    )
 
 
 def unfinished(report: ReportData) -> Iterator[Table]:
     """Yield the table of the runs without a result, and why."""
-    columns = [
-        column("Cell", "label", numeric=False),
-        column("Seed", "seed"),
-        column("Status", "status", numeric=False),
-        column("Reason", "reason", numeric=False),
-    ]
     rows = [record(run) for run in report.provenance.unfinished]
-    yield Table("unfinished", rows, columns, "Runs without a result, and why.")
+    yield Table(
+        "unfinished",
+        rows,
+        [
+            text_column("Cell", "label"),
+            column("Seed", "seed"),
+            text_column("Status", "status"),
+            text_column("Reason", "reason"),
+        ],
+        "Runs without a result, and why.",
+    )
 
 
 def common(report: ReportData) -> Iterator[Table]:
     """Yield the table of the settings that are the same in all cells."""
     rows = [{"key": key, "value": value} for key, value in report.provenance.common.items()]
-    columns = [
-        column("Setting", "key", numeric=False),
-        column("Value", "value", formats.setting, numeric=False),
-    ]
-    yield Table("common", rows, columns, "Settings that are the same in all cells.", folded=True)
+    yield Table(
+        "common",
+        rows,
+        [text_column("Setting", "key"), text_column("Value", "value", formats.setting)],
+        "Settings that are the same in all cells.",
+        folded=True,
+    )
 
 
 def _list_cell_rows(report: ReportData) -> list[Row]:
     stages = dict.fromkeys(stage for cell in report.cells for stage in cell.counts)
-    return [
-        {
-            **cell_record(cell),
-            "seeds": cell.success.n,  # a run that is done may lack its rate
-            **{f"runs_{stage}": cell.counts.get(stage) for stage in stages},
-            **record(cell, without=("id", "label")),
-        }
-        for cell in report.cells
-    ]
+    rows: list[Row] = []
+    for cell in report.cells:
+        row = cell_record(cell)
+        row["seeds"] = cell.success.n  # a run that is done may lack its rate
+        for stage in stages:
+            row[f"runs_{stage}"] = cell.counts.get(stage)
+        rows.append(row | record(cell, without=("id", "label")))
+    return rows
 
 
 def _select_rates(report: ReportData) -> list[str]:
     """Return the names of the rates that some cell has."""
-    return [
-        name
-        for name in RATES
-        if name not in FURTHER or any(name in cell.further for cell in report.cells)
-    ]
+    known = {"success", "timeout"}
+    for cell in report.cells:
+        known |= set(cell.further)
+    return [name for name in RATES if name in known]
 
 
 def _count_finished(row: Row) -> str:
-    done, total = (
-        row["seeds"],
-        sum(count or 0 for key, count in row.items() if key.startswith("runs_")),
-    )
+    done = row["seeds"]
+    total = sum(count or 0 for key, count in row.items() if key.startswith("runs_"))
     return str(done) if done == total else f"{done} of {total}"
 
 
 def _count_reaching_95(row: Row) -> str:
-    return formats.share_interval(
-        Proportion(*(row[f"reaching_95_{name}"] for name in ("k", "n", "low", "high")))
-    )
+    name = "reaching_95"
+    low = row[f"{name}_low"]
+    high = row[f"{name}_high"]
+    return formats.share_interval(Proportion(row[f"{name}_k"], row[f"{name}_n"], low, high))

@@ -59,22 +59,23 @@ class Table:
 
 
 def without_constants(table: Table) -> Table:
-    """Return a table whose caption has notes on its columns, and what is the same in every row.
+    """Return a table whose caption has the notes on its columns, and what is in every row.
 
-    That are conditions, and what is nowhere known.
+    These are conditions that are the same everywhere, and what is nowhere known.
     """
-    constants = {}
+    constants = ""
+    columns = list(table.columns[:1])
     for column in table.columns[1:]:
         texts = {column.write(row) for row in table.rows}
-        if len(table.rows) > 1 and len(texts) == 1 and (column.given or texts == {""}):
-            constants[column] = clean(texts.pop()) or "not known"
-    sentences = "".join(
-        f" {column.title} in every row: {text}." for column, text in constants.items()
-    )
-    columns = [column for column in table.columns if column not in constants]
+        is_constant = len(table.rows) > 1 and len(texts) == 1
+        if is_constant and (column.given or texts == {""}):
+            text = clean(texts.pop()) or "not known"
+            constants += f" {column.title} in every row: {text}."
+        else:
+            columns.append(column)
     notes = [column.note for column in columns if column.note]
     caption = "; ".join([table.caption.removesuffix("."), *notes])
-    return replace(table, columns=columns, caption=f"{caption}.{sentences}" if caption else "")
+    return replace(table, columns=columns, caption=f"{caption}.{constants}" if caption else "")
 
 
 def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
@@ -99,7 +100,7 @@ def spread(name: str, interval: Interval) -> dict[str, float | None]:
     return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
-def cell_record(cell: Cell) -> dict[str, str]:
+def cell_record(cell: Cell) -> dict[str, Any]:
     """Return the columns of a row that name its cell."""
     return {"cell": cell.id, "label": cell.label}
 
@@ -120,6 +121,13 @@ def column(
     )
 
 
+def text_column(
+    title: str, key: str, write: Callable[[Any], str] = formats.words, *, paper: bool = True
+) -> Column:
+    """Return a column of one text of each row."""
+    return column(title, key, write, numeric=False, paper=paper)
+
+
 def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
     """Return the column of the labels of cells."""
     return Column(title, lambda row: str(row[label]), label, numeric=False, cell=cell, given=True)
@@ -135,9 +143,8 @@ def interval_column(
     """Return a column of a number with its interval, by default a rate in per cent."""
 
     def text(row: Row) -> str:
-        value, low, high = (
-            finite_or_none(row.get(name)) for name in (key, f"{key}_low", f"{key}_high")
-        )
+        names = (key, f"{key}_low", f"{key}_high")
+        value, low, high = (finite_or_none(row.get(name)) for name in names)
         return write(Interval(value, low, high))
 
     return Column(title, text, key, paper=paper)
