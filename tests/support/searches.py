@@ -27,9 +27,10 @@ def settings(**changes):
     return check(SearchConfig, SETTINGS | changes)
 
 
-def base(tmp_path):
+def base(tmp_path, *overrides):
     """The config that trials change."""
-    return make_config("experiment=smoke", "experiment_name=test", f"output_dir={tmp_path}")
+    options = ("experiment=smoke", "experiment_name=test", f"output_dir={tmp_path}")
+    return make_config(*options, *overrides)
 
 
 def user_search(folder, overrides=(), **changes):
