@@ -5,9 +5,19 @@ state.
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+)
 
 from parking_exp.config_model import Count, Share
+
+# How values are checked against a limit.
+STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 def _check_initial_value(coefficient: str) -> str:
@@ -41,6 +51,10 @@ LIMITS: dict[str, Any] = {
     "ent_coef": PositiveFloat | AutomaticCoefficient,
     "target_entropy": float | Literal["auto"],
     "stats_window_size": Count,
+    "use_sde": bool,
+    "sde_sample_freq": int,
+    "use_sde_at_warmup": bool,
+    "handle_timeout_termination": bool,
     "top_quantiles_to_drop_per_net": NonNegativeInt,
     "n_sampled_goal": Count,
     "n_critics": Annotated[int, Field(ge=1, le=100)],
@@ -62,4 +76,23 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
     "NormalActionNoise": NOISE,
     "EpsilonRandomActionNoise": {**NOISE, "epsilon": Annotated[float, Field(ge=0, le=1)]},
     "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegativeFloat, "dt": PositiveFloat},
+}
+# Argument names of classes as `conf/` uses them: these are checked without importing torch.
+OFF_POLICY = {
+    "learning_rate", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
+    "gradient_steps", "action_noise", "policy_kwargs",
+}  # fmt: skip
+SAC = {
+    "ent_coef", "target_update_interval", "target_entropy", "stats_window_size",
+    "use_sde", "sde_sample_freq", "use_sde_at_warmup",
+}  # fmt: skip
+TD3 = {"policy_delay", "target_policy_noise", "target_noise_clip", "stats_window_size"}
+REPLAY = {"goal_selection_strategy", "handle_timeout_termination"}
+KNOWN_ARGUMENTS: dict[str, list[set[str]]] = {
+    "parking_exp.algorithms.DDPG": [OFF_POLICY],
+    "parking_exp.algorithms.SAC": [OFF_POLICY | SAC],
+    "parking_exp.algorithms.TD3": [OFF_POLICY | TD3],
+    "parking_exp.buffers.HerBuffer": [REPLAY, {*REPLAY, *HER_OPTIONS}],
+    "stable_baselines3.common.noise.NormalActionNoise": [{"mean", "sigma"}],
+    "stable_baselines3.common.utils.LinearSchedule": [{"start", "end", "end_fraction"}],
 }

@@ -11,9 +11,9 @@ from importlib import import_module
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
-from parking_exp.config.argument_limits import CLASS_LIMITS, LIMITS
+from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.errors import ConfigError, did_you_mean, one_line, suggestion
 
@@ -42,7 +42,7 @@ MIRRORED_POLICIES = (
 PLAIN_TYPES = (int, float, bool, str, NoneType)
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
-NULLABLE = {"train_freq", "gradient_steps"}
+NULLABLE = {"train_freq", "gradient_steps", "goal_selection_strategy"}
 # By section, our own keys beside the class's arguments.
 SECTION_KEYS = {"algorithm": AlgorithmConfig.model_fields, "buffer": BufferConfig.model_fields}
 # By section, arguments that the run sets itself.
@@ -95,7 +95,10 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
         section = getattr(run, key)
         problems = list(_check_target(key, {"_target_": section.target, **section.arguments}, base))
         yield from problems
-        if not problems and isinstance(section, AlgorithmConfig):
+        if problems or not isinstance(section, AlgorithmConfig):
+            continue
+        # All features suit the policies of the known algorithms.
+        if section.target not in KNOWN_ARGUMENTS or section.arguments.get("policy_kwargs"):
             yield from _check_policy(section, import_object(section.target))
     for number, callback in enumerate(run.callbacks or ()):
         yield from _check_target(f"callbacks.{number}", callback, CALLBACK)
@@ -173,6 +176,13 @@ def _check_target(
     base.
     """
     target = class_path(value)
+    given = {}
+    if isinstance(value, Mapping):
+        given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
+    if given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
+        known = {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in given}
+        yield from _check_parameters(key, target.rpartition(".")[2], known, given)
+        return
     assignment = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
         call = import_object(target)
@@ -182,7 +192,6 @@ def _check_target(
     if base is not None and not (isinstance(call, type) and issubclass(call, import_object(base))):
         yield f"{assignment} is not a subclass of {base}"
     elif isinstance(value, Mapping):
-        given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
         yield from _check_call(
             key, call, given, partial=partial or bool(value.get("_partial_")) or "_args_" in value
         )
@@ -193,10 +202,23 @@ def _check_call(
 ) -> Iterator[str]:
     """Check the arguments of a call; a `partial` call gets more later."""
     parameters, is_open = _parameters(call)
-    set_by_run, limits = (
-        SET_BY_RUN.get(key, set()),
-        CLASS_LIMITS.get(getattr(call, "__name__", ""), LIMITS),
+    yield from _check_parameters(
+        key, getattr(call, "__name__", ""), parameters, given, is_open=is_open, partial=partial
     )
+
+
+def _check_parameters(
+    key: str,
+    class_name: str,
+    parameters: Mapping[str, inspect.Parameter],
+    given: Mapping[str, Any],
+    *,
+    is_open: bool = False,
+    partial: bool = False,
+) -> Iterator[str]:
+    """Check arguments against parameters; an `is_open` call takes others, too."""
+    set_by_run = SET_BY_RUN.get(key, set())
+    limits = CLASS_LIMITS.get(class_name, LIMITS)
     settable = {name: parameter for name, parameter in parameters.items() if name not in set_by_run}
     for name, value in given.items():
         path = f"{key}.{name}"
@@ -240,9 +262,7 @@ def _check_value(
     if value is None and (NoneType in types or parameter.name in NULLABLE):
         return
     try:
-        TypeAdapter(limit, config=ConfigDict(strict=True, allow_inf_nan=False)).validate_python(
-            value
-        )
+        TypeAdapter(limit, config=STRICT).validate_python(value)
     except ValidationError as error:
         reasons = [
             problem["msg"].removeprefix("Value error, ").lower() for problem in error.errors()

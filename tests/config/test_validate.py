@@ -2,13 +2,16 @@
 
 import contextlib
 import copy
+import inspect
 import sys
 
 import pytest
 from omegaconf import OmegaConf
 from support.runs import make_config
 
+from parking_exp.config.argument_limits import KNOWN_ARGUMENTS
 from parking_exp.config.compose import compose_configs
+from parking_exp.config.constructor_arguments import SET_BY_RUN, import_object
 from parking_exp.config.validate import validate, validate_all
 from parking_exp.errors import ConfigError
 
@@ -222,6 +225,14 @@ def test_a_users_own_class_is_checked_against_its_signature(own_algorithm):
         ({"beta": 1, "tau": 3}, "tau"), ({"beta": 1, "train_freq": "often"}, "train_freq"),
     ):  # fmt: skip
         assert refusal(own_algorithm(**values)).startswith(f"algorithm.{key}")
+
+
+@pytest.mark.parametrize(("target", "known"), KNOWN_ARGUMENTS.items())
+def test_arguments_that_are_known_without_importing_their_class_fit_its_signature(target, known):
+    signature = inspect.signature(import_object(target))
+    set_by_run = {*SET_BY_RUN["algorithm"], *SET_BY_RUN["buffer"]} & set(signature.parameters)
+    for names in known:
+        signature.bind(**dict.fromkeys(names | set_by_run))
 
 
 def test_our_own_keys_of_all_cells_are_checked_before_any_class_is_imported(tmp_path, monkeypatch):

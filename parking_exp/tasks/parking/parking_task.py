@@ -3,11 +3,10 @@ episodes.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
@@ -15,9 +14,10 @@ from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
-from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 from parking_exp.tasks.task import EvaluationBatch, Policy
-from parking_exp.tasks.training_envs import ReplayActions
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecEnv
 
 
 class ParkingTask:
@@ -33,8 +33,14 @@ class ParkingTask:
         self.config = config
         self.frame_rate = config.simulation_frequency
 
-    def training_envs(self, n_envs: int) -> VecEnv:
+    def training_envs(self, n_envs: int) -> "VecEnv":
         """Make training envs."""
+        # These import torch, which checking a config does not need.
+        from stable_baselines3.common.vec_env import DummyVecEnv
+
+        from parking_exp.tasks.parking.vec_env import ParkingVecEnv
+        from parking_exp.tasks.training_envs import ReplayActions
+
         config = self.config.for_training()
         if config.simulator == "vectorized":
             return ParkingVecEnv(config, n_envs)
