@@ -23,6 +23,7 @@ from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Policy
 from parking_exp.terminal import say
 
@@ -78,7 +79,7 @@ def main() -> None:
         say(__doc__ or "")
         return
     agents = [find_agent(f"pretrained/{name}", Path("outputs")) for name in AGENTS]
-    policies = [agent.model(agent.config.env) for agent in agents]
+    policies = [agent.model(make_task(agent.config.env)) for agent in agents]
     heads = [f"`{name}`: {metric} (crash)" for name, metric in AGENTS.items()]
     say(f"| perturbation | {' | '.join(heads)} |", f"|---|{'---:|' * len(agents)}")
     for title, perturbation in PERTURBATIONS.items():

@@ -16,11 +16,12 @@ from parking_exp.runs.run_files import CONFIG_FILE, read_config
 from parking_exp.runs.run_state import read_state
 from parking_exp.runs.state_tables import run_name
 from parking_exp.runs.trained_here import was_trained_here
-from parking_exp.tasks.registry import EnvConfig
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+    from parking_exp.tasks.task import Task
 
 PRETRAINED = "pretrained"
 PRETRAINED_DIR = Path(__file__).parents[1] / PRETRAINED
@@ -40,21 +41,31 @@ class Agent:
     folder: Path  # where its evaluations and exports are written
     directory: RunDirectory | None = None  # its run directory; None for a pretrained agent
 
-    def model(self, env: EnvConfig) -> "OffPolicyAlgorithm":
-        """Return the model with its weights, for predicting in an env; raises what `load_model`
-        does.
+    @property
+    def label(self) -> str:
+        """Name for tables, the same for all runs of a cell."""
+        if self.directory is None:
+            return self.name
+        label = self.directory.read_status().get("label", self.config.options)
+        return f"{self.config.experiment_name}: {label} ({self.config.cell_key})"
+
+    def model(self, task: "Task") -> "OffPolicyAlgorithm":
+        """Return the model with its weights, for predicting in a task.
+
+        It raises what `load_model` does. The model's env is one of the task.
         """
         from stable_baselines3.common.vec_env import DummyVecEnv
 
         from parking_exp.algorithms.build_model import build_model
         from parking_exp.algorithms.model_files import load_weights
         from parking_exp.algorithms.policy_files import load_policy
-        from parking_exp.tasks.registry import make_task
 
-        prediction_env = DummyVecEnv([make_task(env).prediction_env])
-        model = build_model(self.config, prediction_env, seed=0, for_training=False)
-        load = load_policy if self.directory is None else load_weights
-        load(self.weights, model)
+        env = DummyVecEnv([task.prediction_env])
+        model = build_model(self.config, env, seed=0, for_training=False)
+        if self.directory is None:
+            load_policy(self.weights, model)
+        else:
+            load_weights(self.weights, model)
         return model
 
 
@@ -74,8 +85,9 @@ def find_agent(
     trust: bool = False,
     trust_option: str = "trust=true",
 ) -> Agent:
-    """Find a trained agent; arguments and errors are those of `load_model`, which trust by
-    `trust_option`.
+    """Find a trained agent; arguments and errors are those of `load_model`.
+
+    `trust_option` is what the caller's user types to trust it, for a message.
     """
     if is_pretrained(run):
         return _find_pretrained(run, output_dir, model)
@@ -101,21 +113,17 @@ def find_agent(
 def find_agents(
     run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False
 ) -> list[Agent]:
-    """Find the agent of a run, or those of all finished runs in a directory, such as an
-    experiment's.
-    """
-    folder = directory_path(run)
-    runs = [] if is_pretrained(run) else [RunDirectory(path) for path in find_runs_below(folder)]
-    if not runs:
+    """Find the agent of a run, or those of all finished runs in a folder."""
+    paths = [] if is_pretrained(run) else find_runs_below(directory_path(run))
+    if not paths:
         return [find_agent(run, output_dir, model, trust=trust)]
-    finished = [directory for directory in runs if directory.status == "done"]
+    finished = [path for path in paths if RunDirectory(path).status == "done"]
     if not finished:
-        raise RunNotFoundError(f"run={run}: none of its {plural(len(runs), 'run')} is finished")
-    if unfinished := len(runs) - len(finished):
-        say(f"left out       {plural(unfinished, 'unfinished run')}")
-    return [
-        find_agent(str(directory.path), output_dir, model, trust=trust) for directory in finished
-    ]
+        raise RunNotFoundError(f"run={run}: none of its {plural(len(paths), 'run')} is finished")
+    n_unfinished = len(paths) - len(finished)
+    if n_unfinished:
+        say(f"left out       {plural(n_unfinished, 'unfinished run')}")
+    return [find_agent(str(path), output_dir, model, trust=trust) for path in finished]
 
 
 def load_model(
@@ -141,10 +149,11 @@ def load_model(
         UntrustedError: its config names an unknown class, or a symbolic link leads out of its
             directory.
     """
-    agent = find_agent(
-        run, directory_path(output_dir), model, trust=trust, trust_option="trust=True"
-    )
-    return agent.model(agent.config.env)
+    from parking_exp.tasks.registry import make_task
+
+    folder = directory_path(output_dir)
+    agent = find_agent(run, folder, model, trust=trust, trust_option="trust=True")
+    return agent.model(make_task(agent.config.env))
 
 
 def is_pretrained(run: str) -> bool:
@@ -162,8 +171,8 @@ def _find_pretrained(run: str, output_dir: Path, model: ModelName) -> Agent:
         raise RunNotFoundError(
             f"run={run}: a pretrained agent has no model={model}; use model=final"
         )
-    folder, results = PRETRAINED_DIR / name, output_dir / PRETRAINED / name
+    folder = PRETRAINED_DIR / name
+    config = read_config(folder, output_dir)
+    results = output_dir / PRETRAINED / name
     refuse_links([results.parent, results, *results.rglob("*")], output_dir)
-    return Agent(
-        f"pretrained agent {name}", read_config(folder, output_dir), folder / POLICY_FILE, results
-    )
+    return Agent(f"pretrained agent {name}", config, folder / POLICY_FILE, results)

@@ -1,6 +1,4 @@
-"""Export the policy of a stored run, or of a pretrained agent, to a file that other programs
-read.
-"""
+"""Export the policy of a stored run or of a pretrained agent to a file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,11 +27,12 @@ class ExportRequest(AgentRequest):
 def validate_request(config: DictConfig) -> ExportRequest:
     """Validate a composed config."""
     request = parse(ExportRequest, config)
-    for name in ("onnx", "onnxruntime") if request.format == "onnx" else ():
-        if find_spec(name) is None:
-            raise ConfigError(
-                f"format=onnx: {name} is not installed; pip install 'parking-exp[export]'"
-            )
+    if request.format == "onnx":
+        for name in ("onnx", "onnxruntime"):
+            if find_spec(name) is None:
+                raise ConfigError(
+                    f"format=onnx: {name} is not installed; pip install 'parking-exp[export]'"
+                )
     if request.path is not None and not request.path.endswith(f".{request.format}"):
         raise ConfigError(
             f"path={request.path}: a file of format={request.format} ends in .{request.format}"
@@ -58,7 +57,8 @@ def export_runs(configs: Sequence[DictConfig]) -> None:
             written.
         ModelError: the model can't be exported; also what `agents.load_model` raises.
     """
-    exports = [_find_export(request) for request in map(validate_request, configs)]
+    requests = [validate_request(config) for config in configs]
+    exports = [_find_export(request) for request in requests]
     files = [resolved(export.path) for export in exports]
     for export, file in zip(exports, files, strict=True):
         if files.count(file) > 1:
@@ -71,35 +71,35 @@ def export_runs(configs: Sequence[DictConfig]) -> None:
 
 def _find_export(request: ExportRequest) -> Export:
     agent = find_agent(request.run, request.output_path, request.model, trust=request.trust)
-    agent = replace(
-        agent, config=agent.config.model_copy(update={"device": "cpu"})
-    )  # files are for any machine
-    path = (
-        directory_path(request.path)
-        if request.path
-        else agent.folder / "exports" / f"policy.{request.format}"
-    )
-    return Export(request, agent, path)
+    config = agent.config.model_copy(update={"device": "cpu"})  # files are for any machine
+    path = agent.folder / "exports" / f"policy.{request.format}"
+    if request.path is not None:
+        path = directory_path(request.path)
+    return Export(request, replace(agent, config=config), path)
 
 
 def _write(export: Export) -> None:
     """Write a policy, and say where."""
-    request, agent, path = export.request, export.agent, export.path
+    agent = export.agent
+    path = export.path
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
 
     from parking_exp.algorithms.policy_export import export_onnx
     from parking_exp.algorithms.policy_files import export_safetensors
+    from parking_exp.tasks.registry import make_task
 
-    model = agent.model(agent.config.env)
-    content = export_onnx(model) if request.format == "onnx" else export_safetensors(model)
+    model = agent.model(make_task(agent.config.env))
+    is_onnx = export.request.format == "onnx"
+    content = export_onnx(model) if is_onnx else export_safetensors(model)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:
             temporary.write_bytes(content)
     except FileNotFoundError as error:  # there are no files, as in /proc
         raise OutputDirectoryError(f"path: {path} cannot be written: {error.strerror}") from error
+    size_kb = path.stat().st_size / 1000
     say(
-        f"exported       {agent.name} as {request.format}, {path.stat().st_size / 1000:.1f} kB",
+        f"exported       {agent.name} as {export.request.format}, {size_kb:.1f} kB",
         f"file           {path}",
     )

@@ -13,7 +13,9 @@ from parking_exp.runs.atomic_files import replacing
 from parking_exp.tasks.task import Policy, Task
 
 
-def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool = False) -> None:
+def record_video(
+    policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool = False
+) -> None:
     """Record one episode from each seed in one mp4, and with `gif` also a GIF of the same name.
 
     Raises:
@@ -22,9 +24,9 @@ def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bo
     """
     try:
         _record(policy, task, seeds, path, gif)
-    except VideoError:
-        raise
     except (Exception, SystemExit) as error:
+        if isinstance(error, VideoError):
+            raise
         raise VideoError(
             f"no video of {task.env_id}: {type(error).__name__}: {one_line(error)}"
         ) from error
@@ -32,27 +34,23 @@ def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bo
 
 def _record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Every third frame and a palette: small enough for a README.
-    stride, gif_frames = max(1, task.frame_rate // 5), []
+    stride = max(1, task.frame_rate // 5)  # of the GIF's frames: small enough for a README
+    gif_frames = []
     with replacing(path) as temporary:
-        options: dict[str, Any] = {
-            "fps": task.frame_rate,
-            "codec": "libx264",
-            "macro_block_size": 2,
-        }
-        video: Any = iio.get_writer(temporary, format="FFMPEG", **options)
+        video: Any = iio.get_writer(
+            temporary, format="FFMPEG", fps=task.frame_rate, codec="libx264", macro_block_size=2
+        )
         with closing(video):  # as a context manager, it would leave ffmpeg running after an error
-            for number, frame in enumerate(task.frames(policy, seeds), start=1):
+            for number, frame in enumerate(task.frames(policy, seeds)):
                 video.append_data(frame)
-                if gif and number % stride == 1 % stride:
+                if gif and number % stride == 0:
                     gif_frames.append(Image.fromarray(frame).quantize(64))
     if gif:
         first, *rest = gif_frames
-        duration_ms = 1000 * stride / task.frame_rate
         first.save(
             path.with_suffix(".gif"),
             save_all=True,
             append_images=rest,
-            duration=duration_ms,
+            duration=1000 * stride / task.frame_rate,
             loop=0,
         )

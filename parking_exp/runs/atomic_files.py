@@ -74,8 +74,10 @@ def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
 
 def read_json(path: Path) -> Any:
     """Read a JSON file; return None if it does not exist. Raises ValueError for other content."""
+    if not path.exists():
+        return None
     try:
-        return json.loads(read_file(path, MAX_JSON)) if path.exists() else None
+        return json.loads(read_file(path, MAX_JSON))
     except RecursionError as error:
         raise ValueError(f"{path} is nested too deeply") from error
 
@@ -86,8 +88,10 @@ def read_plain_yaml(path: Path) -> Any:
 
 
 def parse_plain_yaml(content: bytes) -> Any:
-    """Return what YAML describes; raises ValueError for large content, and for what JSON lacks,
-    such as aliases.
+    """Return what YAML describes.
+
+    Raises:
+        ValueError: it is large, damaged, or has what JSON lacks, such as aliases.
     """
     if len(content) > MAX_SMALL:
         raise ValueError(f"it has more than {MAX_SMALL:,} bytes")
@@ -110,8 +114,8 @@ def read_file(path: Path, limit: int = MAX_LARGE) -> bytes:
     """Return the content of a file.
 
     Raises:
-        OSError: it is a pipe or a device, which might never end, has more bytes than the limit, or
-            can't be read.
+        OSError: it can't be read, has more bytes than the limit, or is a pipe or a device, which
+            might never end.
     """
     with open_file(path, limit) as file:
         return file.read()

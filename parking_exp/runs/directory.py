@@ -42,17 +42,24 @@ from parking_exp.runs.run_files import (
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, command_line
 from parking_exp.terminal import program
 
-MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"  # of a checkpoint
-EVALUATIONS, SUMMARY_FILE = "evaluations", "summary.json"
-SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
+# Of a checkpoint.
+MODEL = "model.zip"
+BUFFER = "replay_buffer.npz"
+MANIFEST = "manifest.json"
+
+EVALUATIONS = "evaluations"
+SUMMARY_FILE = "summary.json"
+TRACEBACK_FILE = "traceback.txt"
+SUPERVISOR_LOCK = ".claim"
+TRAINING_LOCK = ".lock"
+STATUS_LOCK = ".status.lock"
 LOCK_PATIENCE_S = 2.0  # another process takes a lock for a moment to see whether it is held
 WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon after it
 # Space that a run keeps while it trains, so that its end can be written on a disk that is full by
 # then.
-RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
+RESERVE = ".reserve"
+RESERVE_BYTES = 64 * 1024
 ENDS = ("done", "failed", "interrupted")
-STATUS_LOCK = ".status.lock"
-# All that the directory of a run that never began can hold.
 PLAN_FILES = {
     CONFIG_FILE,
     STATUS_FILE,
@@ -62,13 +69,14 @@ PLAN_FILES = {
     TRAINING_LOCK,
     RESERVE,
 }
+"""All that the directory of a run that never began can hold."""
 WRITTEN_AT_THE_END = (
     EPISODES_FILE,
     "curves.png",
     "video.mp4",
     MONITOR_FILE,
     "progress.csv",
-    "traceback.txt",
+    TRACEBACK_FILE,
     "models/best.zip",
     "models/final.zip",
 )
@@ -89,7 +97,9 @@ class RunDirectory:
     """The directory of one run."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.checkpoints, self.models = path, path / "checkpoints", path / "models"
+        self.path = path
+        self.checkpoints = path / "checkpoints"
+        self.models = path / "models"
 
     @property
     def output_dir(self) -> Path:
@@ -120,16 +130,16 @@ class RunDirectory:
     @property
     def is_locked(self) -> bool:
         """Whether a process, this one included, holds one of the run's locks."""
-        return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
+        return is_held(self.path / SUPERVISOR_LOCK) or is_held(self.path / TRAINING_LOCK)
 
     def update(self, *, durable: bool = True, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
-        if uri := values.get("tracking_uri"):
+        uri = values.get("tracking_uri")
+        if uri is not None:
             values["tracking_uri"] = relative(uri, self.output_dir)
         if values.get("status") in ENDS:
             (self.path / RESERVE).unlink(missing_ok=True)
-        # A training, its supervisor, a mirror and an evaluation may change different entries at
-        # once.
+        # Several processes change entries: a training, its supervisor, a mirror.
         with FileLock(self.path / STATUS_LOCK):
             changed = {**self.read_status(), **values}
             kept = {key: value for key, value in changed.items() if value is not None}
@@ -139,36 +149,29 @@ class RunDirectory:
         """Return the stored result of a finished run; None if there is none, or it is damaged."""
         if self.status != "done":
             return None
-        # The store may have been down until later, and the directory moved.
-        now = {"run_dir": str(self.path.absolute()), "run_id": self.run_id}
+        stored = read_object(self.path / RESULT_FILE)
+        # The directory may have been moved since, and the store down.
+        stored["run_dir"] = str(self.path.absolute())
+        stored["run_id"] = self.run_id
         try:
-            return TypeAdapter(RunResult).validate_python(
-                read_object(self.path / RESULT_FILE) | now
-            )
+            return TypeAdapter(RunResult).validate_python(stored)
         except ValidationError:
             return None
 
     def finish(self, result: RunResult, **values: Any) -> None:
-        """Write the result and the hashes of the run's files, then the status `done` with other
-        entries.
-        """
+        """Write the result with hashes of the run's files, then the status with other entries."""
         hashes = {name: sha256(file) for name, file in self._finished_files().items()}
         write_json(self.path / RESULT_FILE, {**asdict(result), "sha256": hashes})
         self.update(status="done", steps=result.steps, **values)
 
     def needs_evaluation(self, config: RunConfig) -> bool:
-        """Return whether a finished run was evaluated with other settings than those of a
-        config.
-        """
+        """Return whether a finished run was evaluated with settings that a config has not."""
         entries = self.read_status()
-        if entries.get("status") != "done" or "evaluation" not in entries:
-            return False
-        return entries["evaluation"] != config.final_settings
+        settings = entries.get("evaluation", config.final_settings)
+        return entries.get("status") == "done" and settings != config.final_settings
 
     def evaluation_problem(self) -> str | None:
-        """Return in a sentence why a finished run can't be evaluated again, as its checkpoint is
-        gone; or None.
-        """
+        """Return why a finished run can't be evaluated again, or None."""
         checkpoint = self.checkpoints / checkpoint_name(self.read_status().get("steps", 0))
         problem = checkpoint_problem(checkpoint)
         if problem is None:
@@ -179,9 +182,7 @@ class RunDirectory:
         )
 
     def reopen(self) -> None:
-        """Make a finished run unfinished, so that it goes on at its last checkpoint: with the final
-        evaluation.
-        """
+        """Make a finished run go on at its last checkpoint, with the final evaluation."""
         # Without its start, the store makes a new run of it. This comes first: if the process is
         # killed in between, the run is still finished, and reopened again.
         (self.path / PROVENANCE_FILE).unlink(missing_ok=True)
@@ -225,14 +226,13 @@ class RunDirectory:
 
     @property
     def has_hashes(self) -> bool:
-        """Whether the run's files can be checked: results of earlier versions, and damaged ones,
-        have no hashes.
-        """
+        """Whether the run's files can be checked, which those of earlier versions can't."""
         return isinstance(read_object(self.path / RESULT_FILE).get("sha256"), dict)
 
     def changed_files(self) -> list[str]:
-        """Return the names of files that have changed since they were finished; deleted ones have
-        not.
+        """Return the names of files that have changed since they were finished.
+
+        Files that were deleted have not.
         """
         changed = []
         for folder in self.evaluations():
@@ -244,22 +244,17 @@ class RunDirectory:
 
     def evaluations(self) -> list[Path]:
         """Return the folders of the evaluations that are complete."""
-        return sorted(
-            summary.parent for summary in self.path.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}")
-        )
+        summaries = self.path.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}")
+        return sorted(summary.parent for summary in summaries)
 
     def _finished_files(self) -> dict[str, Path]:
-        """Return the files that no longer change once the run is finished, by their names in the
-        directory.
-        """
+        """Return the files of a finished run that no longer change, by their names."""
         files = [self.path / name for name in (CONFIG_FILE, METRICS_FILE, *WRITTEN_AT_THE_END)]
         files += sorted(self.checkpoints.glob(f"*/{MODEL}"))
         return {str(file.relative_to(self.path)): file for file in files if file.is_file()}
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory, write the resolved config into it, and reserve space for the run's
-        end.
-        """
+        """Make the directory with the resolved config and reserved space."""
         with self._writable():
             write_config(self.path, config, durable=True)
         self.reserve()
@@ -276,8 +271,7 @@ class RunDirectory:
         started: float | None,
         entries: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write the config, the label and other entries of status.json of a pending run, or reopen
-        a finished one.
+        """Write the files of a pending run, or reopen a finished one.
 
         Nothing is written if the run is locked, or if another process has begun it since `started`.
         There is no fsync: after a power cut, rerunning the sweep writes the files again.
@@ -286,28 +280,30 @@ class RunDirectory:
             return
         with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
             status = self.read_status()
-            is_reopened = self.needs_evaluation(config)
-            is_over = status.get("status") == "done" and not is_reopened
-            if is_over or status.get("started") != started:
+            if status.get("started") != started:
                 return
-            if is_reopened:
+            if status.get("status") == "done":
+                if not self.needs_evaluation(config):
+                    return
                 self.reopen()
             with self._writable():
                 write_config(self.path, config, durable=False)
-            plan = {
+            plan: dict[str, Any] = {
+                "status": "pending",
+                "error": None,
+                "killed": None,
                 "label": label,
                 "total_timesteps": config.total_timesteps,
                 "command": command_line(),
+                "tracking_uri": config.store_uri if config.tracking.mlflow else None,
+                **(entries or {}),
             }
-            uri = config.store_uri if config.tracking.mlflow else None
-            fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
-            self.update(durable=False, **fresh, **plan, **(entries or {}))
+            self.update(durable=False, **plan)
 
     def heartbeat(self, **values: Any) -> None:
         """Write the run's progress, for processes that monitor it."""
-        with suppress(
-            OSError
-        ):  # a full disk: nothing depends on a heartbeat, and the next checkpoint will fail
+        # On a full disk, nothing depends on a heartbeat, and the next checkpoint will fail.
+        with suppress(OSError):
             write_json(self.path / HEARTBEAT_FILE, {"time": time.time(), **values}, durable=False)
 
     def config(self) -> RunConfig:
@@ -315,9 +311,7 @@ class RunDirectory:
         return read_config(self.path, self.output_dir)
 
     def check_links(self) -> None:
-        """Raise UntrustedError if a link or file of the directory would let others be written,
-        sent, or waited for.
-        """
+        """Raise UntrustedError for links that lead elsewhere, and for pipes and devices."""
         refuse_links(self.path.rglob("*"), self.path)
 
     def supervisor_lock(self) -> AbstractContextManager[None]:
@@ -378,9 +372,7 @@ def _changed_in_evaluation(folder: Path) -> list[str]:
 
 
 def _changed(files: Mapping[str, Path], record: Mapping[str, Any]) -> list[str]:
-    """Return the names of files that do not have the hashes of a record; those of earlier versions
-    have none.
-    """
+    """Return the names of files that do not have the hashes of a record, if it has any."""
     hashes = record.get("sha256")
     if not isinstance(hashes, dict):
         return []
@@ -394,8 +386,12 @@ def checkpoint_name(step: int) -> str:
 
 def checkpoint_problem(folder: Path) -> str | None:
     """Return what is wrong with a checkpoint; None if all files have their hashes."""
-    for name, digest in (read_object(folder / MANIFEST) or {MANIFEST: None}).items():
-        if not (folder / name).is_file() or sha256(folder / name) != digest:
+    hashes = read_object(folder / MANIFEST)
+    if not hashes:
+        return f"{MANIFEST} is missing or damaged"
+    for name, digest in hashes.items():
+        file = folder / name
+        if not file.is_file() or sha256(file) != digest:
             return f"{name} is missing or damaged"
     return None
 
@@ -403,15 +399,13 @@ def checkpoint_problem(folder: Path) -> str | None:
 def is_held(path: Path) -> bool:
     """Return whether a process holds a lock file; the system releases it when that ends."""
     try:
-        handle = os.open(
-            path, os.O_RDONLY | os.O_NONBLOCK
-        )  # a pipe in its place would wait for a writer
+        # A pipe in its place would wait for a writer.
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError:  # it was never locked
         return False
     try:
-        fcntl.flock(
-            handle, fcntl.LOCK_SH | fcntl.LOCK_NB
-        )  # shared, so that several may look at once
+        # Shared, so that several may look at once.
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     finally:

@@ -14,9 +14,7 @@ LATEST = "latest"
 def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
     """Return the run directories under an output directory, of one experiment or of all, sorted."""
     directories = _distinct(output_dir, "*/*/seed=*")
-    return [
-        path for path in directories if experiment in (None, path.parents[1].name)
-    ]  # a name is not a pattern
+    return [path for path in directories if experiment in (None, path.parents[1].name)]
 
 
 def find_runs_below(folder: Path) -> list[Path]:
@@ -25,14 +23,17 @@ def find_runs_below(folder: Path) -> list[Path]:
 
 
 def _distinct(folder: Path, *patterns: str) -> list[Path]:
-    """Return the run directories that match, sorted; one that links reach as well occurs once,
-    without the link.
+    """Return the run directories that match, sorted.
+
+    One that links reach as well occurs once, without the link.
     """
-    real_folder, by_place = resolved(folder), dict[Path, Path]()
+    real_folder = resolved(folder)
+    by_place: dict[Path, Path] = {}
     try:
         for pattern in patterns:
             for file in folder.glob(f"{pattern}/{STATUS_FILE}"):
-                path, place = file.parent, resolved(file.parent)
+                path = file.parent
+                place = resolved(path)
                 if place not in by_place or place == real_folder / path.relative_to(folder):
                     by_place[place] = path
     except OSError as error:
@@ -43,34 +44,44 @@ def _distinct(folder: Path, *patterns: str) -> list[Path]:
 
 
 def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = ()) -> RunDirectory:
-    """Find a run by its directory, its MLflow run id, or `latest`: the one whose file `having` was
-    written last.
+    """Find a run by its directory, its MLflow run id, or `latest`.
+
+    Args:
+        name: of the run.
+        output_dir: where it is looked for.
+        having: a file of runs; `latest` is the one whose file was written last.
+        others: other valid names, for suggestions.
 
     Raises:
-        RunNotFoundError: no run matches; the message suggests the closest valid name, `others`
-            among them.
+        RunNotFoundError: no run matches; the message suggests the closest valid name.
     """
     folder = directory_path(name)
     if (folder / STATUS_FILE).exists():
         return RunDirectory(folder)
     runs = find_runs(output_dir)
     usable = [path for path in runs if (path / having).exists()]
-    usable.sort(
-        key=lambda path: (path / having).stat().st_mtime
-    )  # a sync or an evaluation changes status.json
     if name == LATEST and usable:
-        return RunDirectory(usable[-1].absolute())
+        # A sync or an evaluation changes status.json, and not this file.
+        latest = max(usable, key=lambda path: (path / having).stat().st_mtime)
+        return RunDirectory(latest.absolute())
     if name == LATEST and runs:
         raise RunNotFoundError(
             f"run=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} yet"
         )
-    ids = {run_id: path for path in runs if (run_id := RunDirectory(path).run_id)}
+    ids: dict[str, Path] = {}
+    for path in runs:
+        run_id = RunDirectory(path).run_id
+        if run_id is not None:
+            ids[run_id] = path
     if name in ids:
         return RunDirectory(ids[name].absolute())
-    choices = [*([LATEST] if usable else []), *others, *ids, *map(str, runs)]
-    hint = did_you_mean(name, choices) or (
-        f"; write run={choices[0]}" if choices else "; train one first"
-    )
+
+    choices = [*others, *ids, *map(str, runs)]
+    if usable:
+        choices.insert(0, LATEST)
+    hint = did_you_mean(name, choices)
+    if not hint:
+        hint = f"; write run={choices[0]}" if choices else "; train one first"
     raise RunNotFoundError(
         f"run={name} is neither a run directory nor the MLflow run id of a run in "
         f"{output_dir}{hint}"

@@ -1,6 +1,4 @@
-"""The append-only logs of a run (`metrics.jsonl`, `episodes.csv`, `monitor.csv`), and their copies
-in checkpoints.
-"""
+"""The append-only logs of a run, and their copies in checkpoints."""
 
 import json
 import numbers
@@ -15,11 +13,10 @@ from parking_exp.runs.atomic_files import open_file
 if TYPE_CHECKING:
     import pandas as pd
 
-METRICS_FILE, EPISODES_FILE, MONITOR_FILE = APPENDED = (
-    "metrics.jsonl",
-    "episodes.csv",
-    "monitor.csv",
-)
+METRICS_FILE = "metrics.jsonl"
+EPISODES_FILE = "episodes.csv"
+MONITOR_FILE = "monitor.csv"
+APPENDED = (METRICS_FILE, EPISODES_FILE, MONITOR_FILE)
 """Files of a run directory that only grow; each checkpoint has a copy of them."""
 
 
@@ -40,12 +37,12 @@ def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
 
 
 def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a `metrics.jsonl` if there is one, without a last line that is still being
-    written.
-    """
+    """Yield the rows of a `metrics.jsonl`, without a last line that is still being written."""
     if path.exists():
         with open_file(path) as file:
-            yield from (json.loads(line) for line in file if line.endswith(b"\n"))
+            for line in file:
+                if line.endswith(b"\n"):
+                    yield json.loads(line)
 
 
 class MetricsLog:
@@ -57,26 +54,21 @@ class MetricsLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._last_step = {
-            key: record["step"] for record in self.records() for key in record["metrics"]
-        }
+        self._last_step: dict[str, int] = {}
+        for record in self.records():
+            self._last_step |= dict.fromkeys(record["metrics"], record["step"])
 
     def append(self, step: int, values: Mapping[str, Any]) -> dict[str, float]:
-        """Append a row of the numbers among `values`, and return it; it may be empty, and then
-        nothing is written.
-        """
-        metrics = {
-            key: float(value)
-            for key, value in values.items()
-            if isinstance(value, numbers.Real) and self._last_step.get(key, -1) < step
-        }
+        """Append a row of the numbers among `values`, unless there are none, and return it."""
+        metrics = {}
+        for key, value in values.items():
+            if isinstance(value, numbers.Real) and self._last_step.get(key, -1) < step:
+                metrics[key] = float(value)
         if metrics:
             self._last_step |= dict.fromkeys(metrics, step)
-            line = json.dumps(
-                {"step": step, "time_ms": time.time_ns() // 1_000_000, "metrics": metrics}
-            )
+            row = {"step": step, "time_ms": time.time_ns() // 1_000_000, "metrics": metrics}
             with self.path.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
+                file.write(json.dumps(row) + "\n")
         return metrics
 
     def records(self) -> Iterator[dict[str, Any]]:
@@ -85,25 +77,23 @@ class MetricsLog:
 
     def latest(self) -> dict[str, float]:
         """Return the last value of every metric."""
-        return {key: value for record in self.records() for key, value in record["metrics"].items()}
+        values: dict[str, float] = {}
+        for record in self.records():
+            values |= record["metrics"]
+        return values
 
     def frame(self) -> "pd.DataFrame":
         """Return one row per step, one column per metric; empty cells are NaN."""
         import pandas as pd  # not where a store is only synced
 
         rows = [{"step": record["step"], **record["metrics"]} for record in self.records()]
-        return (
-            pd.DataFrame(rows, columns=None if rows else ["step"])
-            .groupby("step")
-            .first()
-            .reset_index()
-        )
+        if not rows:
+            return pd.DataFrame(columns=["step"])
+        return pd.DataFrame(rows).groupby("step").first().reset_index()
 
 
 def append_episodes(path: Path, episodes: "pd.DataFrame", phase: str, step: int) -> None:
-    """Append an evaluation's episodes to `episodes.csv`, with its phase (`eval` or `final`) and env
-    step.
-    """
+    """Append an evaluation's episodes to `episodes.csv`, with its phase and env step."""
     table = episodes.assign(phase=phase, step=step)[["phase", "step", *episodes.columns]]
     if path.exists():  # rows of a metric that was added since would not fit under the header
         with path.open(encoding="utf-8") as file:

@@ -1,6 +1,4 @@
-"""The small files of a run directory: config, status and heartbeat, which may be damaged or
-untrusted.
-"""
+"""The small files of a run directory, which may be damaged: config, status and heartbeat."""
 
 import json
 import re
@@ -16,12 +14,10 @@ from parking_exp.config.validate import check
 from parking_exp.errors import ConfigError, first_line
 from parking_exp.runs.atomic_files import read_json, read_plain_yaml, write_atomically
 
-CONFIG_FILE, STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = (
-    "config.yaml",
-    "status.json",
-    "result.json",
-    "beat.json",
-)
+CONFIG_FILE = "config.yaml"
+STATUS_FILE = "status.json"
+RESULT_FILE = "result.json"
+HEARTBEAT_FILE = "beat.json"
 OUTPUT_DIR = "../../.."  # from a run directory
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
@@ -73,25 +69,22 @@ def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], b
     """Return the entries of a file, none if it is missing or damaged, and whether it is damaged."""
     try:
         stored = read_json(path)
-        if stored is not None:
-            schema.model_validate(stored)
-            return {key: value for key, value in stored.items() if value is not None}, False
+        if stored is None:
+            return {}, False
+        schema.model_validate(stored)
     except (OSError, ValueError):
         return {}, True
-    return {}, False
+    return {key: value for key, value in stored.items() if value is not None}, False
 
 
 def write_config(directory: Path, config: RunConfig, *, durable: bool) -> None:
-    """Write a run's config into its directory, with paths relative to it; make the directory if
-    need be.
-    """
+    """Write a run's config into its directory, with paths relative to it."""
     uri = config.tracking.uri and relative(config.tracking.uri, config.output_path)
     tracking = config.tracking.model_copy(update={"uri": uri})
-    plain = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking}).plain()
+    relocatable = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking})
+    text = yaml.safe_dump(relocatable.plain(), sort_keys=False)
     directory.mkdir(parents=True, exist_ok=True)
-    write_atomically(
-        directory / CONFIG_FILE, yaml.safe_dump(plain, sort_keys=False), durable=durable
-    )
+    write_atomically(directory / CONFIG_FILE, text, durable=durable)
 
 
 def read_config(directory: Path, output_dir: Path) -> RunConfig:
@@ -112,7 +105,8 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
         raise ConfigError(
             f"{path} can't be read: expected a mapping, got a {type(stored).__name__}"
         )
-    if interpolation := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):
+    interpolation = re.search(r'[^"]*\$\{[^"]*', json.dumps(stored))
+    if interpolation is not None:
         raise ConfigError(
             f"{path} has the interpolation {interpolation[0]}; stored configs have values only"
         )

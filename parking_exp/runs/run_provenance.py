@@ -15,31 +15,25 @@ from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.terminal import is_script, program
 
 PROVENANCE_FILE = "provenance.json"
-PACKAGES = [
-    *(
-        "torch",
-        "stable-baselines3",
-        "highway-env",
-        "gymnasium",
-        "gymnasium-robotics",
-        "mujoco",
-        "numpy",
-        "hydra-core",
-    ),
+PACKAGES = (
+    "torch",
+    "stable-baselines3",
+    "highway-env",
+    "gymnasium",
+    "gymnasium-robotics",
+    "mujoco",
+    "numpy",
+    "hydra-core",
     "mlflow-skinny",
-]
+)
 
 
 def collect_provenance() -> dict[str, str]:
-    """Return the tags `version.<package>`, `git_commit`, `git_dirty` and `cpu`, as far as they are
-    known.
-    """
+    """Return the tags `version.<package>`, `git_commit`, `git_dirty` and `cpu`, where known."""
     tags = {"version.python": platform.python_version(), "version.parking-exp": __version__}
     for package in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             tags[f"version.{package}"] = version(package)
-        except PackageNotFoundError:
-            continue
     return tags | _git() | {"cpu": _cpu()}
 
 
@@ -52,9 +46,10 @@ def record_provenance(run_dir: Path) -> None:
 
 def command_line() -> str | None:
     """Return the command line of this process, None unless it is a command of this package."""
-    name = Path(sys.argv[0]).stem.removeprefix("parking-")
-    if not is_script() and not Path(sys.argv[0]).name.startswith("parking-"):  # called from Python
+    started = Path(sys.argv[0])
+    if not is_script() and not started.name.startswith("parking-"):  # called from Python
         return None
+    name = started.stem.removeprefix("parking-")
     return shlex.join([*program(name).split(), *sys.argv[1:]])
 
 
@@ -66,9 +61,9 @@ def _git() -> dict[str, str]:
 
     def git(*arguments: str) -> str:
         command = ["git", "-C", str(root), *arguments]
-        return subprocess.run(
-            command, check=True, capture_output=True, text=True, timeout=10
-        ).stdout.strip()
+        return subprocess.check_output(
+            command, stderr=subprocess.DEVNULL, text=True, timeout=10
+        ).strip()
 
     with suppress(OSError, subprocess.SubprocessError):
         changes = git("status", "--porcelain", "--untracked-files=no")
@@ -78,6 +73,9 @@ def _git() -> dict[str, str]:
 
 def _cpu() -> str:
     info = Path("/proc/cpuinfo")
-    text = info.read_text(encoding="utf-8", errors="replace") if info.exists() else ""
-    name = re.search(r"^model name\s*: *(.+)", text, re.MULTILINE)
-    return name[1].strip() if name else platform.processor() or platform.machine()
+    if info.exists():
+        text = info.read_text(encoding="utf-8", errors="replace")
+        name = re.search(r"^model name\s*: *(.+)", text, re.MULTILINE)
+        if name is not None:
+            return name[1].strip()
+    return platform.processor() or platform.machine()

@@ -1,12 +1,10 @@
-"""The state of runs (done, running, failed, pending), read from the small files of their
-directories.
-"""
+"""The state of runs (done, running, failed, pending), read from their directories."""
 
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import (
@@ -18,7 +16,7 @@ from parking_exp.runs.run_files import (
 )
 
 Stage = Literal["done", "running", "failed", "pending"]
-STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")
+STAGES: tuple[Stage, ...] = get_args(Stage)
 # Fields that `status.py` doesn't show.
 OWN = (
     "status",
@@ -102,17 +100,15 @@ def as_planned(states: Iterable[RunState]) -> list[RunState]:
 
 
 def _place(state: RunState) -> tuple[str, int, str, int]:
-    """Return the key by which runs are sorted: trials of a search by number, others by their
-    cell's.
-    """
+    """Return the key by which runs are sorted: by the number of their trial or of their cell."""
     number = state.cell_number if state.trial is None else state.trial
     if number is None:  # of no plan
         number = sys.maxsize
     return state.experiment, number, state.cell, state.seed
 
 
-def count_stages(states: Iterable[RunState]) -> dict[Stage, int]:
-    """Return how many runs are at which stage."""
+def count_stages(states: Iterable[RunState]) -> dict[str, int]:
+    """Return how many runs are at each stage."""
     stages = [state.stage for state in states]
     return {stage: stages.count(stage) for stage in STAGES}
 
@@ -130,7 +126,8 @@ def _read_running(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
     beat = HeartbeatEntries(**read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)[0])
     if beat.time < entries.get("started", time.time()):  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}
-    total, left_s = entries.get("total_timesteps"), None
+    left_s = None
+    total = entries.get("total_timesteps")
     if beat.steps_per_s > 1e-3 and total is not None:
         left_s = (total - beat.step) / beat.steps_per_s
     return {
@@ -143,16 +140,16 @@ def _read_running(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
 
 def _saved_step(path: Path) -> int:
     """Return the env step of the newest checkpoint; 0 without one."""
-    names = [folder.name.removeprefix("step=") for folder in (path / "checkpoints").glob("step=*")]
+    names = [folder.name.removeprefix("step=") for folder in path.glob("checkpoints/step=*")]
     return max((int(name) for name in names if name.isdecimal()), default=0)
 
 
 def as_plain(states: Sequence[RunState]) -> dict[str, Any]:
-    """Return runs as JSON can hold them: how many are at which stage, in all and in each cell, and
-    each run.
-    """
-    cells: list[Any] = []
+    """Return runs by cell as JSON can hold them, with how many are at each stage."""
+    cells = []
     for (experiment, cell), runs in by_cell(states):
         entry: dict[str, Any] = {"experiment": experiment, "cell": cell, "label": runs[0].label}
-        cells.append(entry | dict(count_stages(runs)) | {"runs": [run.plain() for run in runs]})
-    return dict(count_stages(states)) | {"cells": cells}
+        entry |= count_stages(runs)
+        entry["runs"] = [run.plain() for run in runs]
+        cells.append(entry)
+    return {**count_stages(states), "cells": cells}

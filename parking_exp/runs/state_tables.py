@@ -1,6 +1,7 @@
 """Tables and lines of run states for a terminal."""
 
 from collections.abc import Iterator, Sequence
+from statistics import mean
 from typing import Literal
 
 from rich.table import Table
@@ -10,39 +11,38 @@ from parking_exp.runs.run_state import STAGES, RunState, by_cell, count_stages
 
 
 def cell_table(states: Sequence[RunState]) -> Table:
-    """Return one row a cell: how many of its runs are at each stage, and the mean success of those
-    that are done.
-    """
+    """Return one row a cell: its runs at each stage, and the mean success of those done."""
     table = Table(box=None, pad_edge=False)
     table.add_column("cell", overflow="fold")
     for stage in STAGES:
         table.add_column(stage, justify="right")
     table.add_column("success", justify="right")
-    several = len({state.experiment for state in states}) > 1
-    for (experiment, _), runs in by_cell(states):
-        rates = [
-            run.success_rate for run in runs if run.stage == "done" and run.success_rate is not None
-        ]
-        mean = f"{sum(rates) / len(rates):.0%}" if rates else ""
-        label, counts = runs[0].label, count_stages(runs)
-        table.add_row(
-            f"{experiment}: {label}" if several else label,
-            *(str(counts[stage] or "") for stage in STAGES),
-            mean,
-        )
-    if len(list(by_cell(states))) > 1:
-        table.add_row(
-            "all", *(str(count_stages(states)[stage] or "") for stage in STAGES), "", style="bold"
-        )
+    has_several = len({state.experiment for state in states}) > 1
+    cells = list(by_cell(states))
+    for (experiment, _), runs in cells:
+        label = runs[0].label
+        name = f"{experiment}: {label}" if has_several else label
+        table.add_row(name, *_counts(runs), _mean_success(runs))
+    if len(cells) > 1:
+        table.add_row("all", *_counts(states), "", style="bold")
     return table
+
+
+def _counts(runs: Sequence[RunState]) -> list[str]:
+    """Return how many runs are at each stage, as text; zeros are left out."""
+    return [str(number or "") for number in count_stages(runs).values()]
+
+
+def _mean_success(runs: Sequence[RunState]) -> str:
+    rates = [run.success_rate for run in runs if run.stage == "done"]
+    known = [rate for rate in rates if rate is not None]
+    return f"{mean(known):.0%}" if known else ""
 
 
 def state_lines(
     states: Sequence[RunState], *kinds: Literal["running", "stopped", "failed", "damaged"]
 ) -> Iterator[str]:
-    """Yield a line for every run of each kind in turn: how far it is, where it resumes, or what is
-    wrong.
-    """
+    """Yield a line for every run of each kind: how far it is, or what is wrong."""
     for kind in kinds:
         for state in states:
             text = None
@@ -71,10 +71,10 @@ def describe_progress(state: RunState) -> str:
 
 
 def _steps(state: RunState) -> str:
-    """Return `300 of 1000`: how many env steps a run has done, and of how many where that is
-    known.
-    """
-    return f"{state.step} of {state.total_timesteps}" if state.total_timesteps else str(state.step)
+    """Return how many env steps a run has done: `300 of 1000`, or `300`."""
+    if state.total_timesteps:
+        return f"{state.step} of {state.total_timesteps}"
+    return str(state.step)
 
 
 def run_name(state: RunState) -> str:
@@ -87,4 +87,6 @@ def format_duration(seconds: float) -> str:
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
+    if minutes < 100:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60} min"

@@ -29,10 +29,15 @@ from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.terminal import say
 from parking_exp.training import rollout_state
 
-BEST, STATE = "best.zip", "state.pt"
+BEST = "best.zip"
+STATE = "state.pt"
 ATTRIBUTES = (
-    *("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining"),
-    *("_last_obs", "_last_episode_starts"),
+    "num_timesteps",
+    "_n_updates",
+    "_episode_num",
+    "_current_progress_remaining",
+    "_last_obs",
+    "_last_episode_starts",
 )
 RECENT = ("ep_info_buffer", "ep_success_buffer")
 # Pickled entries for which `SAC.load` would require an env, because of the HER buffer.
@@ -63,13 +68,14 @@ def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
 def save(
     directory: Path,
     model: OffPolicyAlgorithm,
+    average: PolicyEMA,
     progress: SavedProgress,
     best: Path,
     keep_last: int,
-    average: PolicyEMA | None = None,
 ) -> Path:
-    """Write a checkpoint, with copies of the logs and the best model, then delete all but the last
-    `keep_last`.
+    """Write a checkpoint, and delete all but the last `keep_last`.
+
+    It has copies of the run's logs and of its best model, the file `best`.
 
     Raises:
         OSError: the disk is full; earlier checkpoints are untouched.
@@ -88,9 +94,10 @@ def save(
             "progress": asdict(progress),
             "model": attributes | recent,
             "rollout": rollout_state.get_state(model),
-            "average": average.get_state() if average is not None else [],
+            "average": average.get_state(),
         }
         torch.save(to_tensors(state), folder / STATE)
+
     folders = _folders(directory)
     number = folders.index(target) + 1
     # A later step is of a checkpoint that was damaged when the run was resumed.
@@ -102,40 +109,37 @@ def save(
 def latest(directory: Path) -> Path | None:
     """Return the newest intact checkpoint, or None."""
     for folder in reversed(_folders(directory)):
-        if (problem := checkpoint_problem(folder)) is None:
+        problem = checkpoint_problem(folder)
+        if problem is None:
             return folder
-        say(
-            f"warning: checkpoint {folder} is skipped ({problem}); trying the one before it",
-            stderr=True,
-        )
+        say(f"warning: checkpoint {folder} is skipped ({problem})", stderr=True)
     return None
 
 
-def read_state(folder: Path) -> dict[str, Any]:
-    """Return a checkpoint's state but for model and buffer; `progress` has the fields of
-    `SavedProgress`.
+def load_state(folder: Path) -> dict[str, Any]:
+    """Return what a checkpoint has beside model, buffer and logs.
+
+    Its `progress` has the fields of `SavedProgress`.
     """
-    state: dict[str, Any] = to_arrays(
-        torch.load(folder / STATE, map_location="cpu", weights_only=True)
-    )
+    tensors = torch.load(folder / STATE, map_location="cpu", weights_only=True)
+    state: dict[str, Any] = to_arrays(tensors)
     return state
 
 
 def restore(
-    folder: Path, model: OffPolicyAlgorithm, best: Path, average: PolicyEMA | None = None
+    folder: Path, model: OffPolicyAlgorithm, average: PolicyEMA, best: Path
 ) -> dict[str, Any]:
-    """Bring a freshly built model, the average of its policy and the best model's file to a
-    checkpoint's state.
+    """Bring a fresh model, the average of its policy and the best model's file to a checkpoint.
 
     Returns:
         The rollout state, for `rollout_state.set_state` when the next rollout begins.
     """
     load_weights(folder / MODEL, model)
+    best.unlink(missing_ok=True)
     if (folder / BEST).exists():
         shutil.copyfile(folder / BEST, best)
-    else:
-        best.unlink(missing_ok=True)
-    state = read_state(folder)
+
+    state = load_state(folder)
     for name in ATTRIBUTES:
         setattr(model, name, state["model"][name])
     for name in RECENT:
@@ -143,8 +147,7 @@ def restore(
     _load_buffer(model.replay_buffer, folder / BUFFER)
     if isinstance(model, FastTraining) and model._n_updates:
         model.bind()
-    if average is not None:
-        average.set_state(state["average"])
+    average.set_state(state["average"])
     return state["rollout"]
 
 
@@ -180,11 +183,11 @@ def _buffer_state(buffer: ReplayBuffer | None) -> dict[str, np.ndarray]:
     assert buffer is not None
     if isinstance(buffer, HerBuffer):
         return buffer.get_state()
-    filled = {
-        name: array[: buffer.size()] if len(array) == buffer.buffer_size else array
-        for name, array in _arrays(buffer)
-    }
-    return {"pos": np.asarray(buffer.pos), "full": np.asarray(buffer.full), **filled}
+    state = {"pos": np.asarray(buffer.pos), "full": np.asarray(buffer.full)}
+    for name, array in _arrays(buffer):
+        is_by_step = len(array) == buffer.buffer_size
+        state[name] = array[: buffer.size()] if is_by_step else array
+    return state
 
 
 def _load_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
@@ -193,23 +196,29 @@ def _load_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
         if isinstance(buffer, HerBuffer):
             buffer.set_state(stored)
             return
-        buffer.pos, buffer.full = int(stored["pos"]), bool(stored["full"])
+        buffer.pos = int(stored["pos"])
+        buffer.full = bool(stored["full"])
         for name, array in _arrays(buffer):
             array[: len(stored[name])] = stored[name]
 
 
 def _arrays(buffer: ReplayBuffer) -> Iterator[tuple[str, np.ndarray]]:
     """Yield every numeric array of a buffer, those in dicts under `name/key`."""
+    values: dict[str, Any] = {}
     for name, value in vars(buffer).items():
-        entries = value.items() if isinstance(value, dict) else [(None, value)]
-        for key, entry in entries:
-            if isinstance(entry, np.ndarray) and entry.dtype != object:
-                yield (name if key is None else f"{name}/{key}"), entry
+        if isinstance(value, dict):
+            values |= {f"{name}/{key}": entry for key, entry in value.items()}
+        else:
+            values[name] = value
+    for name, value in values.items():
+        if isinstance(value, np.ndarray) and value.dtype != object:
+            yield name, value
 
 
 def to_tensors(state: Any) -> Any:
-    """Return nested dicts and sequences with tensors in place of arrays: what
-    `torch.load(weights_only=True)` reads.
+    """Return nested dicts and sequences with tensors in place of arrays.
+
+    `torch.load(weights_only=True)` reads them.
     """
     if isinstance(state, np.ndarray | np.generic):
         return torch.from_numpy(np.array(state))
@@ -223,9 +232,7 @@ def to_tensors(state: Any) -> Any:
 
 
 def to_arrays(state: Any) -> Any:
-    """Return the state that `to_tensors` was given; 0-dimensional tensors become scalars of the
-    same type.
-    """
+    """Return the state that `to_tensors` was given; 0-dimensional tensors become scalars."""
     if isinstance(state, torch.Tensor):
         return state.numpy()[()]
     if isinstance(state, dict):

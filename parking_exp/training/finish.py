@@ -1,6 +1,6 @@
-"""The end of a run: final evaluation, cross-check on the reference simulator, final model, learning
-curves, video.
-"""
+"""The end of a run: final evaluation, cross-check, final model, learning curves and video."""
+
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -8,7 +8,7 @@ import pandas as pd
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CrossCheckError, VideoError
 from parking_exp.evaluation.evaluate_policy import describe_rates, find_differences
-from parking_exp.evaluation.video import record
+from parking_exp.evaluation.video import record_video
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.checkpoints import save_model
 from parking_exp.training.loop import TrainingLoop, derive_seeds
@@ -16,63 +16,77 @@ from parking_exp.training.plot_curves import plot_learning_curves
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
-    """Evaluate the final model on all episodes, cross-check some of them, write all files; return
-    the episodes.
+    """Evaluate the final model, write the last files, and return the final episodes.
 
     Raises:
         CrossCheckError: an episode differs between two simulators of the task; all files are
             written.
     """
-    config, path, metrics = loop.config, loop.directory.path, loop.task.metrics
+    config = loop.config
+    metrics = loop.task.metrics
     loop.bar.show_activity("final evaluation")
     cross_checked = certified_seeds(config)
     # Cross-checked episodes have batches of their own: the last bits of actions depend on the
     # batch.
-    others = [
-        seed
-        for seed in loop.episode_seeds(config.evaluation.final_n_scenes)
-        if seed not in cross_checked
-    ]
-    parts = [loop.run_episodes(seeds) for seeds in (cross_checked, others) if len(seeds)]
+    all_seeds = loop.episode_seeds(config.evaluation.final_n_scenes)
+    others = [seed for seed in all_seeds if seed not in cross_checked]
+    parts = [loop.run_episodes(seeds) for seeds in (cross_checked, others) if seeds]
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
+
     summary = loop.record_evaluation(episodes.head(config.evaluation.n_scenes), "eval")
     loop.bar.say(describe_rates(summary, loop.model.num_timesteps, metrics))
     loop.record_evaluation(episodes, "final")
-    certified, reference = parts[0], config.env.simulators[-1]
-    if cross_checked and config.env.simulator != reference:
-        loop.bar.show_activity(f"cross-check on {reference}")
-        certified = loop.run_episodes(cross_checked, reference)
-    if cross_checked:
-        loop.record_evaluation(certified, "certified")
+    problem = _cross_check(loop, cross_checked, parts[0]) if cross_checked else None
     loop.dump_metrics()
     loop.model.logger.close()
-    save_model(loop.model, loop.directory.models / "final.zip")
-    title = f"{config.experiment_name}: {path.parent.name}"
-    plot_learning_curves(loop.metrics.frame(), metrics, title, path / "curves.png")
-    if number := config.evaluation.video_episodes:
-        loop.bar.show_activity("video")
-        try:
-            record(loop.policy, loop.task, loop.episode_seeds(number), path / "video.mp4")
-        except VideoError as error:
-            loop.bar.say(str(error))
-    if cross_checked and (different := find_differences(parts[0], certified)):
-        raise CrossCheckError(
-            f"{len(different)} of {len(certified)} cross-checked episodes differ between "
-            "env.simulator="
-            f"{config.env.simulator} and {reference}; {'; '.join(different[:3])}"
-        )
+
+    directory = loop.directory
+    save_model(loop.model, directory.models / "final.zip")
+    title = f"{config.experiment_name}: {directory.path.parent.name}"
+    plot_learning_curves(loop.metrics.frame(), metrics, title, directory.path / "curves.png")
+    if config.evaluation.video_episodes:
+        _record_video(loop)
+    if problem is not None:
+        raise CrossCheckError(problem)
     return episodes
 
 
-def certified_seeds(config: RunConfig) -> list[int]:
-    """Return the seeds of the final evaluation's episodes that are repeated on the reference
-    simulator, sorted.
+def _cross_check(loop: TrainingLoop, seeds: Sequence[int], episodes: pd.DataFrame) -> str | None:
+    """Repeat episodes on the reference simulator; return what differs, if anything."""
+    simulator = loop.config.env.simulator
+    reference = loop.config.env.simulators[-1]
+    certified = episodes
+    if simulator != reference:
+        loop.bar.show_activity(f"cross-check on {reference}")
+        certified = loop.run_episodes(seeds, reference)
+    loop.record_evaluation(certified, "certified")
 
-    They are drawn with the run's seed, so that a sweep covers many; on the reference itself, all
+    differences = find_differences(episodes, certified)
+    if not differences:
+        return None
+    return (
+        f"{len(differences)} of {len(certified)} cross-checked episodes differ between "
+        f"env.simulator={simulator} and {reference}; {'; '.join(differences[:3])}"
+    )
+
+
+def _record_video(loop: TrainingLoop) -> None:
+    """Record a video; a machine that can't render makes none."""
+    loop.bar.show_activity("video")
+    seeds = loop.episode_seeds(loop.config.evaluation.video_episodes)
+    try:
+        record_video(loop.policy, loop.task, seeds, loop.directory.path / "video.mp4")
+    except VideoError as error:
+        loop.bar.say(str(error))
+
+
+def certified_seeds(config: RunConfig) -> list[int]:
+    """Return the seeds of the final episodes that are repeated on the reference simulator, sorted.
+
+    They are drawn with the run's seed, so that a sweep covers many. On the reference itself, all
     are returned.
     """
-    first, number = config.evaluation.first_scene, config.evaluation.final_n_scenes
+    first = config.evaluation.first_scene
+    seeds = range(first, first + config.evaluation.final_n_scenes)
     rng = np.random.default_rng(derive_seeds(config.seed, config.env.training_seeds).certified)
-    return sorted(
-        rng.choice(range(first, first + number), config.n_certified, replace=False).tolist()
-    )
+    return sorted(rng.choice(seeds, config.n_certified, replace=False).tolist())

@@ -1,6 +1,4 @@
-"""Stable-Baselines3 logger with a run's outputs: metrics.jsonl, progress.csv, TensorBoard,
-stdout.
-"""
+"""A run's logger, for metrics.jsonl, progress.csv, TensorBoard and stdout."""
 
 import numbers
 import re
@@ -65,8 +63,9 @@ def _tensorboard_tag(key: str) -> str:
 
 
 class _MetricsWriter(KVWriter):
-    """Writes to metrics.jsonl, and what that accepts to the other files, which start as copies of
-    metrics.jsonl.
+    """Writes to metrics.jsonl, and what that accepts to the other files.
+
+    These start as copies of metrics.jsonl.
     """
 
     def __init__(
@@ -75,7 +74,9 @@ class _MetricsWriter(KVWriter):
         table: CSVOutputFormat | None,
         board: TensorBoardOutputFormat | None,
     ) -> None:
-        self.metrics, self.table, self.board = metrics, table, board
+        self.metrics = metrics
+        self.table = table
+        self.board = board
         for record in metrics.records():
             self._add_row(record["metrics"], record["step"], record["time_ms"] / 1000)
 
@@ -84,14 +85,13 @@ class _MetricsWriter(KVWriter):
     ) -> None:
         self._add_row(self.metrics.append(step, key_values), step)
         if self.board is not None:
-            others = {
-                key: value
-                for key, value in key_values.items()
-                if not isinstance(value, numbers.Real)
-            }
-            self.board.write(
-                others, {key: key_excluded[key] for key in others}, step
-            )  # figures; and it flushes
+            others = {}
+            excluded = {}
+            for key, value in key_values.items():
+                if not isinstance(value, numbers.Real):
+                    others[key] = value
+                    excluded[key] = key_excluded[key]
+            self.board.write(others, excluded, step)  # figures; and it flushes
 
     def close(self) -> None:
         if self.table is not None:

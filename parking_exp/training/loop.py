@@ -1,9 +1,7 @@
-"""The training loop of a run: its model, envs and logs, with evaluations and checkpoints on the
-way.
-"""
+"""The training loop of a run: its model, envs and logs, with evaluations and checkpoints."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -45,11 +43,12 @@ BAR_UPDATES_PER_S = 5
 class Seeds:
     """Seeds of one run's random generators."""
 
-    policy: int  # weights, exploration and minibatches (Python, NumPy and torch), below 2**31
-    training_envs: (
-        int  # of the first training env; env i gets this + i. None is an evaluation's seed
-    )
-    certified: int  # draws the episodes of the final evaluation that are cross-checked
+    # Weights, exploration and minibatches (Python, NumPy and torch), below 2**31.
+    policy: int
+    # Of the first training env; env i gets this + i. None is an evaluation's seed.
+    training_envs: int
+    # Draws the episodes of the final evaluation that are cross-checked.
+    certified: int
 
 
 def derive_seeds(seed: int, training_seeds: range) -> Seeds:
@@ -74,40 +73,46 @@ class TrainingLoop:
         checkpoint: Path | None,
         stop: StopRequest,
     ) -> None:
-        self.config, self.directory, self.stop = config, directory, stop
+        self.config = config
+        self.directory = directory
+        self.stop = stop
         self._on_checkpoint = on_checkpoint
-        saved = checkpoints.read_state(checkpoint)["progress"] if checkpoint else {}
-        self.progress = progress = SavedProgress(**saved)
+        self._best = directory.models / "best.zip"
+        saved = checkpoints.load_state(checkpoint)["progress"] if checkpoint else {}
+        self.progress = SavedProgress(**saved)
+        self._cpu_start = time.process_time() - self.progress.cpu_s
+        self._wall_start = time.monotonic() - self.progress.wall_s
+
         path = directory.path
-        self._cpu_start = time.process_time() - progress.cpu_s
-        self._wall_start = time.monotonic() - progress.wall_s
-        directory.models.mkdir(exist_ok=True)
-        self.metrics = MetricsLog(path / METRICS_FILE)
         seeds = derive_seeds(config.seed, config.env.training_seeds)
         self.task = make_task(config.env)
         self.env = make_training_envs(
-            config.env, config.n_envs, path / MONITOR_FILE, progress.wall_s
+            config.env, config.n_envs, path / MONITOR_FILE, self.progress.wall_s
         )
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
-        self.env.seed(
-            seeds.training_envs
-        )  # after the model, which seeds the envs with its own seed
+        # After the model, which seeds the envs with its own seed.
+        self.env.seed(seeds.training_envs)
+
+        directory.models.mkdir(exist_ok=True)
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:
-            self._best.unlink(
-                missing_ok=True
-            )  # of an attempt that was killed before its first checkpoint
+            # Of an attempt that was killed before its first checkpoint.
+            self._best.unlink(missing_ok=True)
         else:
             self._rollout_state = checkpoints.restore(
-                checkpoint, self.model, self._best, self.average
+                checkpoint, self.model, self.average, self._best
             )
+
+        self.metrics = MetricsLog(path / METRICS_FILE)
         label = directory.read_status().get("label") or config.label or config.options
         self.model.set_logger(make_logger(config.tracking, path, self.metrics, label))
-        shown = config.tracking.progress_bar
         self.bar = TrainingProgress(
-            config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat
+            config.total_timesteps,
+            self.progress.step,
+            config.tracking.progress_bar,
+            heartbeat=directory.heartbeat,
         )
         self.bar.say(
             f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}"
@@ -115,7 +120,7 @@ class TrainingLoop:
         for note in self.task.notes():
             self.bar.say(note)
         if checkpoint is not None:
-            self.bar.say(f"resuming at step {progress.step}")
+            self.bar.say(f"resuming at step {self.progress.step}")
 
     def close(self) -> None:
         """Remove the progress bar and close the envs."""
@@ -135,9 +140,7 @@ class TrainingLoop:
         self.save_checkpoint()
 
     def evaluate(self) -> None:
-        """Evaluate on the first of the fixed episodes, and keep the model if it is the best so
-        far.
-        """
+        """Evaluate the model on the first of the fixed episodes."""
         self.bar.show_activity("evaluation")
         with self.average.applied():
             episodes = self.run_episodes(self.episode_seeds(self.config.evaluation.n_scenes))
@@ -147,14 +150,15 @@ class TrainingLoop:
 
     def run_episodes(self, seeds: Sequence[int], simulator: str | None = None) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""
+
+        def on_step(_: int) -> None:
+            self.stop_if_asked()
+
         try:
-            return evaluate(
-                self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator
-            )
+            return evaluate(self.policy, self.task, seeds, on_step, simulator)
         except DivergenceError as error:
-            raise DivergenceError(
-                f"evaluation at step {self.model.num_timesteps}: {error}"
-            ) from error
+            step = self.model.num_timesteps
+            raise DivergenceError(f"evaluation at step {step}: {error}") from error
 
     def episode_seeds(self, number: int) -> range:
         """Return the seeds of the first `number` of the fixed evaluation episodes."""
@@ -174,14 +178,13 @@ class TrainingLoop:
             return
         self.progress.step = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
-        keep_last = self.config.checkpoint.keep_last
         checkpoints.save(
             self.directory.checkpoints,
             self.model,
+            self.average,
             self.progress,
             self._best,
-            keep_last,
-            self.average,
+            self.config.checkpoint.keep_last,
         )
         self._on_checkpoint()
 
@@ -194,35 +197,36 @@ class TrainingLoop:
         return time.process_time() - self._cpu_start, time.monotonic() - self._wall_start
 
     def record_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
-        """Append episodes to `episodes.csv`, log their summary and return it; `eval`'s best model
-        so far is kept.
+        """Append episodes to `episodes.csv`, log their summary and return it.
+
+        The phase is `eval`, `final` or `certified`. The best model so far of `eval` is kept.
         """
-        step, summary = self.model.num_timesteps, summarise(episodes, self.task.metrics)
+        step = self.model.num_timesteps
         append_episodes(self.directory.path / EPISODES_FILE, episodes, phase, step)
+        summary = summarise(episodes, self.task.metrics)
         for name, value in summary.items():
             self.model.logger.record(f"{phase}/{name}", value)
         if phase == "eval":
             self.progress.evaluated = step
-            if self.progress.best is None or list(rank(summary, self.task)) > self.progress.best:
-                self.progress.best = list(rank(summary, self.task))
-                save_model(self.model, self._best)
+            self._keep_if_best(rank(summary, self.task))
         return summary
+
+    def _keep_if_best(self, rank: list[float]) -> None:
+        """Save the model as the best one if no evaluation before had its rank."""
+        if self.progress.best is None or rank > self.progress.best:
+            self.progress.best = rank
+            save_model(self.model, self._best)
 
     def dump_metrics(self) -> None:
         """Write the logger's row of metrics."""
+        logger = self.model.logger
+        buffer = self.model.replay_buffer
+        if isinstance(buffer, HerBuffer) and buffer.real_fraction is not None:
+            logger.record("buffer/real_share", buffer.real_fraction)
         cpu_s, wall_s = self.times()
-        if (
-            isinstance(buffer := self.model.replay_buffer, HerBuffer)
-            and buffer.real_fraction is not None
-        ):
-            self.model.logger.record("buffer/real_share", buffer.real_fraction)
-        self.model.logger.record("time/cpu_s", cpu_s)
-        self.model.logger.record("time/wall_s", wall_s)
-        self.model.logger.dump(self.model.num_timesteps)
-
-    @property
-    def _best(self) -> Path:
-        return self.directory.models / "best.zip"
+        logger.record("time/cpu_s", cpu_s)
+        logger.record("time/wall_s", wall_s)
+        logger.dump(self.model.num_timesteps)
 
 
 class RolloutCallback(BaseCallback):
@@ -239,16 +243,17 @@ class RolloutCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         loop = self.loop
-        config, progress, step = loop.config, loop.progress, self.num_timesteps
+        step = self.num_timesteps
         loop.restore_rollout_state()  # here, where it was saved
         self._check_losses()
         loop.average.update()
         loop.stop_if_asked()
-        if _is_due(step, progress.evaluated, config.evaluation.every_n_steps):
+        if _is_due(step, loop.progress.evaluated, loop.config.evaluation.every_n_steps):
             loop.evaluate()
-        if _is_due(step, progress.step, config.checkpoint.every_n_steps):
+        if _is_due(step, loop.progress.step, loop.config.checkpoint.every_n_steps):
             loop.save_checkpoint()
-        if (now := time.monotonic()) >= self._next_update:
+        now = time.monotonic()
+        if now >= self._next_update:
             self._next_update = now + 1 / BAR_UPDATES_PER_S
             self._update_bar()
 
@@ -265,19 +270,21 @@ class RolloutCallback(BaseCallback):
 
     def _check_losses(self) -> None:
         """Check what the last updates have logged."""
-        logged = self.model.logger.name_to_value.items()
-        losses = {
-            name: value
-            for name, value in logged
-            if name.startswith("train/") and isinstance(value, Real)
-        }
+        losses: dict[str, Any] = {}
+        for name, value in self.model.logger.name_to_value.items():
+            if name.startswith("train/") and isinstance(value, Real):
+                losses[name] = value
         check_finite(losses, f"at step {self.num_timesteps}")
 
     def _update_bar(self) -> None:
-        successes, episodes = self.model.ep_success_buffer, self.model.ep_info_buffer
-        success_rate = float(np.mean(successes)) if successes else None
-        mean_return = float(np.mean([episode["r"] for episode in episodes])) if episodes else None
-        self.loop.bar.update(self.num_timesteps, success_rate, mean_return)
+        returns = [episode["r"] for episode in self.model.ep_info_buffer or ()]
+        success_rate = _mean_or_none(self.model.ep_success_buffer or ())
+        self.loop.bar.update(self.num_timesteps, success_rate, _mean_or_none(returns))
+
+
+def _mean_or_none(values: Iterable[float]) -> float | None:
+    numbers = list(values)
+    return float(np.mean(numbers)) if numbers else None
 
 
 def _is_due(step: int, last: int, every: int | None) -> bool:

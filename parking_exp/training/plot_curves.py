@@ -12,8 +12,13 @@ from parking_exp.tasks.metrics import Metric
 def plot_learning_curves(
     log: pd.DataFrame, metrics: Sequence[Metric], title: str, path: Path
 ) -> None:
-    """Draw a run's evaluation rates and returns against env steps, from the columns of
-    `MetricsLog.frame`.
+    """Draw a run's evaluation rates and returns against env steps.
+
+    Args:
+        log: the frame of `MetricsLog`.
+        metrics: of the task; those with a colour are drawn.
+        title: of the figure.
+        path: of the image.
     """
     from matplotlib.figure import Figure
 
@@ -25,13 +30,18 @@ def plot_learning_curves(
             curve = log[["step", column]].dropna()
             axes.plot(curve["step"], scale * curve[column], **style)
 
-    for metric in (metric for metric in metrics if metric.colour):
-        style = {
-            "color": metric.colour,
-            "label": metric.name,
-            "linestyle": "-" if metric.is_outcome else "--",
-        }
-        plot(rates, f"eval/{metric.key}", 100, marker="o", markersize=3, **style)
+    for metric in metrics:
+        if metric.colour is not None:
+            plot(
+                rates,
+                f"eval/{metric.key}",
+                scale=100,
+                marker="o",
+                markersize=3,
+                color=metric.colour,
+                label=metric.name,
+                linestyle="-" if metric.is_outcome else "--",
+            )
     plot(returns, "eval/return_mean", color="#0072B2", label="evaluation")
     plot(returns, "rollout/ep_rew_mean", color="#999999", label="training")
     rates.set(ylabel="evaluation episodes (%)", ylim=(-3, 103))

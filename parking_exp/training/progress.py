@@ -22,7 +22,8 @@ class TrainingProgress:
     """Progress of one run, with its success rate, return and speed; call `close` after use.
 
     Args:
-        total_steps, start: env steps in all, and done before.
+        total_steps: env steps in all.
+        start: env steps done before.
         enabled: whether anything is shown, on the standard error stream.
         heartbeat: called every second with how far the run is, whatever is shown.
     """
@@ -31,10 +32,15 @@ class TrainingProgress:
         self, total_steps: int, start: int, enabled: bool, heartbeat: Callable[..., None]
     ) -> None:
         self.console = Screen(stderr=True)
-        self.total, self.start, self.enabled = total_steps, start, enabled
+        self.enabled = enabled
+        self._total = total_steps
+        self._start = start
+        self._step = start
         self._started = time.monotonic()
-        self._heartbeat, self._next_heartbeat, self._step = heartbeat, 0.0, start
-        self._next_line = start + max(1, total_steps // LINES)
+        self._heartbeat = heartbeat
+        self._next_heartbeat = 0.0
+        self._line_interval = max(1, total_steps // LINES)
+        self._next_line = start + self._line_interval
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=10),
@@ -56,17 +62,18 @@ class TrainingProgress:
     def update(self, step: int, success_rate: float | None, episode_return: float | None) -> None:
         """Show the step, and the means over the last training episodes."""
         self._step = step
-        rate = (step - self.start) / max(time.monotonic() - self._started, 1e-9)
+        rate = (step - self._start) / max(time.monotonic() - self._started, 1e-9)
         if time.monotonic() >= self._next_heartbeat:
             self._send_heartbeat("train", rate)
         success = "" if success_rate is None else f"success {success_rate:4.0%}  "
+        speed = f"{rate:.0f} steps/s"
         self._bar.update(
-            self._task, completed=step, figures=f"{success}{rate:.0f} steps/s", description="train"
+            self._task, completed=step, figures=f"{success}{speed}", description="train"
         )
         if not self.console.is_terminal and step >= self._next_line:
-            self._next_line += max(1, self.total // LINES)
+            self._next_line += self._line_interval
             mean_return = "" if episode_return is None else f"return {episode_return:6.1f}  "
-            self.say(f"train  {step}/{self.total} steps  {success}{mean_return}{rate:.0f} steps/s")
+            self.say(f"train  {step}/{self._total} steps  {success}{mean_return}{speed}")
 
     def show_activity(self, activity: str) -> None:
         """Show an activity other than training."""

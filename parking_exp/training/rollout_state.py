@@ -1,5 +1,6 @@
-"""State outside the model that exact resume needs: random generators, envs, exploration noise, the
-logger.
+"""State outside the model that exact resume needs.
+
+These are random generators, envs, exploration noise and the logger's pending values.
 
 It is saved and restored at the beginning of a rollout. Restoring comes last there: `learn` resets
 action noise, and gSDE draws its matrices just before.
@@ -22,18 +23,17 @@ PENDING = ("name_to_value", "name_to_count", "name_to_excluded")
 
 
 def get_state(model: OffPolicyAlgorithm) -> dict[str, Any]:
-    """Return the rollout state of a model as nested dicts and lists of arrays, numbers and
-    texts.
-    """
+    """Return the rollout state of a model: nested dicts and lists of arrays, numbers and texts."""
     assert model.env is not None
+    matrices = None
     sde = _sde(model)
+    if sde is not None:
+        matrices = {name: getattr(sde, name).detach().cpu().numpy() for name in MATRICES}
     return {
         "envs": training_envs.get_state(model.env),
         "rng": _random_states(model),
         "noise": [_noise_state(noise) for noise in _noises(model.action_noise)],
-        "sde": {name: getattr(sde, name).detach().cpu().numpy() for name in MATRICES}
-        if sde
-        else None,
+        "sde": matrices,
         "metrics": {name: dict(getattr(model.logger, name)) for name in PENDING},
     }
 
@@ -46,7 +46,8 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
     # vectorised yet: nor needed.
     for env_noise, saved in zip(_noises(model.action_noise), state["noise"], strict=False):
         vars(env_noise).update(saved)
-    if sde := _sde(model):
+    sde = _sde(model)
+    if sde is not None:
         for name in MATRICES:
             setattr(sde, name, torch.as_tensor(state["sde"][name], device=model.device))
     for name in PENDING:
@@ -58,13 +59,14 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
 
 def _random_states(model: OffPolicyAlgorithm) -> dict[str, Any]:
     version, numbers, gauss = random.getstate()
+    accelerator = None
+    if model.device.type == "cuda":
+        accelerator = torch.cuda.get_rng_state(model.device).numpy()
     return {
         "python": {"version": version, "numbers": np.array(numbers, np.uint32), "gauss": gauss},
         "numpy": np.random.get_state(legacy=False),
         "torch": torch.get_rng_state().numpy(),
-        "accelerator": torch.cuda.get_rng_state(model.device).numpy()
-        if model.device.type == "cuda"
-        else None,
+        "accelerator": accelerator,
         "action_space": model.action_space.np_random.bit_generator.state,
     }
 
@@ -92,8 +94,6 @@ def _noises(noise: ActionNoise | None) -> list[ActionNoise]:
 
 
 def _noise_state(noise: ActionNoise) -> dict[str, Any]:
-    """Return the numeric attributes of an action noise, such as Ornstein-Uhlenbeck's last value
-    `noise_prev`.
-    """
+    """Return the numeric attributes of an action noise, such as its last value `noise_prev`."""
     numbers = (bool, int, float, np.ndarray, np.generic)
     return {name: value for name, value in vars(noise).items() if isinstance(value, numbers)}

@@ -23,9 +23,7 @@ class StopRequest:
         return self.signal_number is not None
 
     def raise_if_made(self, where: str = "") -> None:
-        """Raise InterruptedRunError if a signal has arrived; `where` follows "stopped" in its
-        message.
-        """
+        """Raise InterruptedRunError if a signal has arrived; `where` is for its message."""
         if self.signal_number is not None:
             raise InterruptedRunError(
                 f"stopped{where}; rerun the same command to resume", self.signal_number

@@ -24,11 +24,10 @@ from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import describe
 from parking_exp.runs.atomic_files import write_atomically
-from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.directory import TRACEBACK_FILE, RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import command_line, record_provenance
 from parking_exp.runs.trained_here import record_training
-from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import is_script, say, unfailing_output
 from parking_exp.tracking.mirror import follow_store
 from parking_exp.tracking.tracker import Tracker
@@ -59,21 +58,15 @@ def train(
 
 def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
     directory = RunDirectory(config.run_dir)
-    lacks_device = (
-        config.device.startswith("cuda")
-        and int(config.device[5:] or 0) >= torch.cuda.device_count()
-    )
-    if lacks_device and (directory.result() is None or directory.needs_evaluation(config)):
-        raise ConfigError(f"device={config.device}: torch finds no such device; use auto")
+    is_finished = directory.result() is not None and not directory.needs_evaluation(config)
+    if not is_finished:
+        _check_device(config.device)
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
-        if (result := directory.result()) is not None:
-            if (reason := _reason_to_keep(directory, config)) is not None:
-                tracker = Tracker(config.store_uri, directory, partial(say, stderr=True))
-                if follow_store(directory, config):
-                    tracker.mirror()
-                    result = directory.result() or result
-                say(reason, *_closing_lines(result, tracker))
-                return result
+        result = directory.result()
+        if result is not None:
+            reason = _reason_to_keep(directory, config)
+            if reason is not None:
+                return _keep(result, reason, directory, config)
             say("already trained; its final model is evaluated again, with other settings")
             directory.reopen()
         directory.create(config)
@@ -85,60 +78,42 @@ def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
             return _train(config, directory, stop, supervised)
 
 
+def _check_device(device: str) -> None:
+    """Raise ConfigError for an NVIDIA GPU that torch does not find."""
+    if device.startswith("cuda"):
+        number = int(device[5:] or 0)
+        if number >= torch.cuda.device_count():
+            raise ConfigError(f"device={device}: torch finds no such device; use auto")
+
+
 def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
     """Return why the result of a finished run is kept; None if the run is to be evaluated again."""
     if not directory.needs_evaluation(config):
         return "already done; to train it again, change the seed or delete its directory"
-    if problem := directory.evaluation_problem():
-        return f"already done; {problem}"
-    return None
+    problem = directory.evaluation_problem()
+    return None if problem is None else f"already done; {problem}"
+
+
+def _keep(result: RunResult, reason: str, directory: RunDirectory, config: RunConfig) -> RunResult:
+    """Say why a result is kept, and return it; the store that the config names gets it, too."""
+    tracker = Tracker(config.store_uri, directory, partial(say, stderr=True))
+    if follow_store(directory, config):
+        tracker.mirror()
+        result = directory.result() or result  # which has its run id now
+    say(reason, *_closing_lines(result, tracker))
+    return result
 
 
 def _train(
     config: RunConfig, directory: RunDirectory, stop: StopRequest, supervised: bool
 ) -> RunResult:
-    (directory.path / "traceback.txt").unlink(missing_ok=True)
-    process: dict[str, Any] = {
-        "pid": os.getpid(),
-        "host": socket.gethostname(),
-        "started": time.time(),
-    }
-    if words := command_line():  # a supervised run has the sweep's
-        process["command"] = words
-    if config.label is not None:
-        process["label"] = config.label
-    directory.update(
-        status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process
-    )
+    """Train a run whose locks are held, and record how that ends."""
     store_uri = config.store_uri if config.tracking.mlflow else None
-    directory.update(tracking_uri=store_uri)
+    _record_start(config, directory, store_uri)
     # The process that the user started writes the store: of a supervised run, the sweep.
     tracker = Tracker(None if supervised else store_uri, directory, partial(say, stderr=True))
     try:
-        checkpoint = checkpoints.latest(directory.checkpoints)
-        restore_logs(directory.path, checkpoint)
-        record_provenance(directory.path)
-        tracker.mirror()
-        with closing(TrainingLoop(config, directory, tracker.sync, checkpoint, stop)) as loop:
-            try:
-                loop.learn()
-                with loop.average.applied():
-                    episodes = finish(loop)
-            except InterruptedRunError:
-                loop.save_checkpoint()
-                raise
-        metrics = loop.metrics.latest()
-        memory_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
-            1 if sys.platform == "darwin" else 1024
-        )
-        directory.finish(
-            RunResult(str(directory.path), directory.run_id, loop.model.num_timesteps, metrics),
-            success_rate=metrics.get("final/success_rate"),
-            wall_s=metrics.get("time/wall_s"),
-            cpu_s=metrics.get("time/cpu_s"),
-            memory_bytes=memory_bytes,
-            evaluation=config.final_settings,
-        )
+        description = _train_and_evaluate(config, directory, stop, tracker)
     except (InterruptedRunError, KeyboardInterrupt):
         directory.update(status="interrupted")
         tracker.mirror()
@@ -147,25 +122,78 @@ def _train(
         _record_failure(error, directory, tracker)
         raise FailedRunError(
             f"the run failed: {type(error).__name__}: {error}; its traceback is in "
-            f"{directory.path / 'traceback.txt'}"
+            f"{directory.path / TRACEBACK_FILE}"
         ) from error
     tracker.mirror()
     result = directory.result()
     assert result is not None
-    say(
-        *describe(episodes, make_task(config.env).metrics).split("\n"),
-        *_closing_lines(result, tracker),
-    )
+    say(*description, *_closing_lines(result, tracker))
     return result
+
+
+def _record_start(config: RunConfig, directory: RunDirectory, store_uri: str | None) -> None:
+    """Write into status.json that this process trains the run."""
+    (directory.path / TRACEBACK_FILE).unlink(missing_ok=True)
+    directory.update(
+        status="running",
+        error=None,
+        killed=None,
+        total_timesteps=config.total_timesteps,
+        pid=os.getpid(),
+        host=socket.gethostname(),
+        started=time.time(),
+        tracking_uri=store_uri,
+    )
+    # A supervised run has the command and the label of the sweep.
+    command = command_line()
+    if command is not None:
+        directory.update(command=command)
+    if config.label is not None:
+        directory.update(label=config.label)
+
+
+def _train_and_evaluate(
+    config: RunConfig, directory: RunDirectory, stop: StopRequest, tracker: Tracker
+) -> list[str]:
+    """Train from the last checkpoint to the end, write the result, and describe the episodes."""
+    checkpoint = checkpoints.latest(directory.checkpoints)
+    restore_logs(directory.path, checkpoint)
+    record_provenance(directory.path)
+    tracker.mirror()
+    with closing(TrainingLoop(config, directory, tracker.sync, checkpoint, stop)) as loop:
+        try:
+            loop.learn()
+            with loop.average.applied():
+                episodes = finish(loop)
+        except InterruptedRunError:
+            loop.save_checkpoint()
+            raise
+        steps = loop.model.num_timesteps
+        metrics = loop.metrics.latest()
+        description = describe(episodes, loop.task.metrics)
+
+    directory.finish(
+        RunResult(str(directory.path), directory.run_id, steps, metrics),
+        success_rate=metrics.get("final/success_rate"),
+        wall_s=metrics.get("time/wall_s"),
+        cpu_s=metrics.get("time/cpu_s"),
+        memory_bytes=_peak_memory_bytes(),
+        evaluation=config.final_settings,
+    )
+    return description
+
+
+def _peak_memory_bytes() -> int:
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def _record_failure(error: BaseException, directory: RunDirectory, tracker: Tracker) -> None:
     """Record status and traceback, as far as a full disk allows."""
     try:
         directory.update(status="failed", error=f"{type(error).__name__}: {error}")
-        write_atomically(
-            directory.path / "traceback.txt", "".join(traceback.format_exception(error))
-        )
+        text = "".join(traceback.format_exception(error))
+        write_atomically(directory.path / TRACEBACK_FILE, text)
         tracker.mirror()
     except Exception as second_error:  # the first is reported
         error.add_note(
@@ -174,17 +202,15 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
 
 
 def _closing_lines(result: RunResult, tracker: Tracker) -> list[str]:
+    """Return lines about a finished run: its success, and where it is."""
+    lines = []
     rate = result.metrics.get("final/success_rate")
-    lines = (
-        [f"final success rate {rate:.1%}, after {result.steps} env steps"]
-        if rate is not None
-        else []
-    )
+    if rate is not None:
+        lines.append(f"final success rate {rate:.1%}, after {result.steps} env steps")
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
-        lines.append(
-            f"MLflow run     {result.run_id}   ({ui_command(tracker.directory.tracking_uri or '')})"
-        )
+        ui = ui_command(tracker.directory.tracking_uri or "")
+        lines.append(f"MLflow run     {result.run_id}   ({ui})")
     if tracker.problem:
         lines.append(f"not all of it is in the store ({tracker.problem}); {tracker.hint}")
     return lines

@@ -7,6 +7,7 @@ from support.run_equality import exact, parameters
 from support.runs import make_config, options
 
 from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints, rollout_state
 
@@ -41,13 +42,13 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp
     config, best = make_config(*SMOKE, *ALGORITHMS[algorithm]), tmp_path / "best.zip"
     model, other = model_of(config).learn(60), model_of(config, seed=1)
     assert model._n_updates > 0
-    folder = checkpoints.save(
-        tmp_path, model, checkpoints.SavedProgress(step=60), best, keep_last=1
-    )
+    average = PolicyEMA(model, None)
+    progress = checkpoints.SavedProgress(step=60)
+    folder = checkpoints.save(tmp_path, model, average, progress, best, keep_last=1)
     saved = state(model, tmp_path)
     model.train(2, model.batch_size)
     updated = state(model, tmp_path)
-    rollout_state.set_state(other, checkpoints.restore(folder, other, best))
+    rollout_state.set_state(other, checkpoints.restore(folder, other, average, best))
     other.train(2, other.batch_size)
     assert updated != saved
     assert state(other, tmp_path) == updated

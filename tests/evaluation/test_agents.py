@@ -61,13 +61,9 @@ def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
     assert agent.directory is None
     assert agent.config.seed == 0
     assert agent.config.env.name == env
-    summary = summarise(
-        evaluate(
-            greedy_policy(agent.model(agent.config.env)), make_task(agent.config.env), range(50)
-        ),
-        METRICS,
-    )
-    assert summary[metric] == rate
+    task = make_task(agent.config.env)
+    episodes = evaluate(greedy_policy(agent.model(task)), task, range(50))
+    assert summarise(episodes, METRICS)[metric] == rate
 
 
 def test_a_loaded_model_refuses_to_learn_in_a_sentence(tmp_path):
@@ -160,4 +156,4 @@ def test_a_damaged_policy_is_refused(damage, tmp_path, monkeypatch):
     monkeypatch.setattr(agents, "PRETRAINED_DIR", tmp_path)
     agent = find_agent("pretrained", tmp_path)
     with pytest.raises(ModelError, match=r"policy.safetensors is damaged"):
-        agent.model(agent.config.env)
+        agent.model(make_task(agent.config.env))

@@ -7,6 +7,7 @@ import pytest
 import torch
 from support.models import make_model
 
+from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.runs.metric_logs import APPENDED, restore_logs
 from parking_exp.training import checkpoints
@@ -24,9 +25,13 @@ def model():
 
 
 def save(directory, model, step, keep_last=2, best=None):
-    return checkpoints.save(
-        directory, model, SavedProgress(step=step), best or directory / "no-best.zip", keep_last
-    )
+    best = best or directory / "no-best.zip"
+    progress = SavedProgress(step=step)
+    return checkpoints.save(directory, model, PolicyEMA(model, None), progress, best, keep_last)
+
+
+def restore(folder, model, best):
+    return checkpoints.restore(folder, model, PolicyEMA(model, None), best)
 
 
 SB3_HER = (
@@ -54,7 +59,7 @@ def test_buffer_and_counters_come_back(tmp_path, overrides, size, monkeypatch):
     ).stat().st_size < 105 * 500  # only the filled part of the buffer
     for name in ("pickle.load", "pickle.loads", "cloudpickle.load", "cloudpickle.loads"):
         monkeypatch.setattr(name, lambda *_, **__: pytest.fail("unpickled"))
-    checkpoints.restore(folder, fresh, best=tmp_path / "best.zip")
+    restore(folder, fresh, best=tmp_path / "best.zip")
     for name in ("num_timesteps", "_n_updates", "_episode_num"):
         assert getattr(fresh, name) == getattr(model, name) > 0
     assert list(fresh.ep_success_buffer) == list(model.ep_success_buffer)
@@ -134,7 +139,7 @@ def test_the_best_model_and_the_logs_go_back_to_the_checkpoint(tmp_path, model):
     for name in APPENDED:
         with (tmp_path / name).open("a") as file:
             file.write("half a l")
-    checkpoints.restore(folder, model, best=best)
+    restore(folder, model, best=best)
     restore_logs(tmp_path, folder)
     assert best.read_bytes() == b"best so far"
     for name in ("metrics.jsonl", "episodes.csv"):

@@ -86,7 +86,7 @@ def test_the_average_is_saved_as_the_final_model_and_not_trained_further(tmp_pat
     final, trained = (
         weights(path) for path in (run.models / "final.zip", last / checkpoints.MODEL)
     )
-    averaged = checkpoints.read_state(last)["average"]
+    averaged = checkpoints.load_state(last)["average"]
     assert [weight.tolist() for weight in final] == [weight.tolist() for weight in averaged]
     assert not all(map(torch.equal, final, trained))
 

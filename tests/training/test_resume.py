@@ -16,7 +16,7 @@ from support.runs import make_config, only_run
 from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate
-from parking_exp.evaluation.video import record
+from parking_exp.evaluation.video import record_video
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import checkpoints, finish, loop, rollout_state
 from parking_exp.training.loop import RolloutCallback, TrainingLoop
@@ -197,7 +197,7 @@ def test_a_run_that_a_signal_stopped_between_checkpoints(uninterrupted, tmp_path
         with pytest.raises(InterruptedRunError):
             train(config)
     step = 60 if in_evaluation else 134
-    state = checkpoints.read_state(only_run(tmp_path).checkpoints / f"step={step:010d}")
+    state = checkpoints.load_state(only_run(tmp_path).checkpoints / f"step={step:010d}")
     assert state["progress"]["evaluated"] < 60 * (step // 60) or not in_evaluation
     assert "train/critic_loss" in state["rollout"]["metrics"]["name_to_value"] or in_evaluation
     train(config)
@@ -217,7 +217,7 @@ def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alon
     evaluate(greedy_policy(model), make_task(env), range(3), simulator="vectorized")
     if not overrides:
         evaluate(greedy_policy(model), make_task(env), range(3), simulator="highway_env")
-        record(greedy_policy(model), make_task(env), range(1), tmp_path / "video.mp4")
+        record_video(greedy_policy(model), make_task(env), range(1), tmp_path / "video.mp4")
     assert comparable(rollout_state.get_state(model)) == before
 
 
@@ -246,7 +246,7 @@ def test_rollout_state_is_restored_as_it_was_saved(kind, tmp_path):
     expected = draws(model)
     other.learn(30)
     disturb()
-    loaded = checkpoints.read_state(tmp_path)
+    loaded = checkpoints.load_state(tmp_path)
     before = comparable(loaded)
     rollout_state.set_state(other, loaded)
     assert comparable(rollout_state.get_state(other)) == before
