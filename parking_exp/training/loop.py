@@ -106,7 +106,7 @@ class TrainingLoop:
             )
 
         self.metrics = MetricsLog(path / METRICS_FILE)
-        label = directory.read_status().get("label") or config.label or config.options
+        label = directory.read_status().get("label") or config.options
         self.model.set_logger(make_logger(config.tracking, path, self.metrics, label))
         self.bar = TrainingProgress(
             config.total_timesteps,

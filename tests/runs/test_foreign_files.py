@@ -143,14 +143,6 @@ def test_processes_that_write_into_one_folder_at_once_do_not_disturb_each_other(
     assert [read_json(tmp_path / f"{number}.json") for number in range(4)] == [299] * 4
 
 
-def test_a_file_that_another_process_writes_is_left_alone(tmp_path):
-    with replacing(tmp_path / "a.json") as temporary:
-        temporary.write_text("mine")
-        write_json(tmp_path / "b.json", {})
-        assert temporary.read_text() == "mine"
-    assert (tmp_path / "a.json").read_text() == "mine"
-
-
 def test_a_pipe_in_place_of_a_lock_is_not_held(tmp_path):
     os.mkfifo(tmp_path / ".lock")
     assert not RunDirectory(tmp_path).is_locked
