@@ -24,17 +24,17 @@ from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, po
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.tasks.feature_extractors import SymmetricFeatures
-from parking_exp.tasks.registry import make_task
-from parking_exp.tasks.task import Policy
+from parking_exp.tasks.task import Policy, Task
 
 
 def build_model(
-    config: RunConfig, env: VecEnv, seed: int, *, for_training: bool = True
+    config: RunConfig, task: Task, env: VecEnv, seed: int, *, for_training: bool = True
 ) -> OffPolicyAlgorithm:
     """Build the model that a config describes.
 
     Args:
         config: the run.
+        task: of the run, or another with the same spaces.
         env: training envs, or one env of the same spaces. The HER buffer relabels with their
             `goal_reward`.
         seed: of weights, exploration and minibatches.
@@ -51,7 +51,7 @@ def build_model(
     noise = node.pop("action_noise", None)
 
     arguments = instantiate({**node, "_convert_": "all"})
-    features = _features(config, env)
+    features = _features(config, task, env)
     is_mirrored = issubclass(features.get("features_extractor_class", type), SymmetricFeatures)
     arguments["policy"] = MIRRORED[policy_class(algorithm)] if is_mirrored else POLICY
     arguments["policy_kwargs"] = {
@@ -74,9 +74,9 @@ def build_model(
     return model
 
 
-def _features(config: RunConfig, env: VecEnv) -> dict[str, Any]:
+def _features(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]:
     """Return the policy's features extractor and its arguments; {} for the policy's default."""
-    features = make_task(config.env).features(config.algorithm.features)
+    features = task.features(config.algorithm.features)
     if features is None and config.algorithm.normalize:
         assert isinstance(env.observation_space, spaces.Dict)
         normalizer = Normalizer(env.observation_space)

@@ -60,7 +60,7 @@ class Agent:
         from parking_exp.algorithms.policy_files import load_policy
 
         env = DummyVecEnv([task.prediction_env])
-        model = build_model(self.config, env, seed=0, for_training=False)
+        model = build_model(self.config, task, env, seed=0, for_training=False)
         if self.directory is None:
             load_policy(self.weights, model)
         else:

@@ -1,6 +1,4 @@
-"""The identity of an output directory, which its runs have as a tag in a store that several
-directories share.
-"""
+"""The identity of an output directory, for a store that several directories share."""
 
 import re
 import uuid
@@ -17,10 +15,10 @@ ID = re.compile(r"[0-9a-f]{32}")
 
 
 def output_id(output_dir: Path) -> str:
-    """Return the id of an output directory, which is drawn at the first call; it moves and is
-    copied with it.
+    """Return the id of an output directory, which is drawn at the first call.
 
-    A path does not identify a directory: containers have the same one on each machine.
+    It moves and is copied with the directory. A path does not identify a directory: containers
+    have the same one on each machine.
 
     Raises:
         OutputDirectoryError: the file of the id is damaged.

@@ -88,8 +88,7 @@ def write_config(directory: Path, config: RunConfig, *, durable: bool) -> None:
 
 
 def read_config(directory: Path, output_dir: Path) -> RunConfig:
-    """Read a run's config as plain data, with the output directory and store of where the run is
-    now.
+    """Read a run's config as plain data, with the output directory where the run is now.
 
     Raises:
         ConfigError: it can't be read, has an interpolation, or does not fit this version of the

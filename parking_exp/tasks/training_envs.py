@@ -10,7 +10,7 @@ from gymnasium.utils import seeding
 from stable_baselines3.common.monitor import ResultsWriter
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from parking_exp.tasks.registry import EnvConfig, make_task
+from parking_exp.tasks.task import Task
 
 MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
 
@@ -59,18 +59,17 @@ class ReplayActions(gym.Wrapper):
 
 
 def make_training_envs(
-    config: EnvConfig, n_envs: int, monitor: Path | None = None, elapsed_s: float = 0.0
+    task: Task, n_envs: int, monitor: Path | None = None, elapsed_s: float = 0.0
 ) -> VecMonitor:
-    """Make the training envs of an `env` group.
+    """Make the monitored training envs of a task.
 
     Args:
-        config: the group.
+        task: of the run.
         n_envs: number of envs.
         monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are
             appended.
         elapsed_s: time that a resumed run has taken before, so that the file's clock continues.
     """
-    task = make_task(config)
     envs = VecMonitor(task.training_envs(n_envs), info_keywords=task.monitored)
     envs.t_start = time.time() - elapsed_s
     if monitor is not None:

@@ -87,9 +87,9 @@ class TrainingLoop:
         seeds = derive_seeds(config.seed, config.env.training_seeds)
         self.task = make_task(config.env)
         self.env = make_training_envs(
-            config.env, config.n_envs, path / MONITOR_FILE, self.progress.wall_s
+            self.task, config.n_envs, path / MONITOR_FILE, self.progress.wall_s
         )
-        self.model = build_model(config, self.env, seeds.policy)
+        self.model = build_model(config, self.task, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
         # After the model, which seeds the envs with its own seed.

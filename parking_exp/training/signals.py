@@ -35,10 +35,11 @@ def stop_on_signal(
     at_second: Callable[[int, FrameType | None], object] | None = signal.default_int_handler,
     signals: Sequence[int] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
 ) -> Iterator[StopRequest]:
-    """Turn the first of some signals into a StopRequest; `at_second` handles later ones, None
-    ignores them.
+    """Turn the first of some signals into a StopRequest.
 
-    SIGHUP, of a terminal that is closed, stays ignored under `nohup`, and never counts as a second
+    `at_second` handles later ones; None ignores them.
+
+    SIGHUP, of a terminal that is closed, stays ignored under `nohup`. It never counts as a second
     signal: the shell and the system both send it. Outside the main thread signals can't be caught,
     and nothing changes.
     """

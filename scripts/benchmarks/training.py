@@ -19,6 +19,7 @@ from parking_exp import compose
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.schema import RunConfig
 from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training.train_run import train
 
@@ -100,7 +101,9 @@ def _bare(config: RunConfig) -> None:
 
 
 def _model(config: RunConfig) -> Any:
-    return build_model(config, make_training_envs(config.env, config.n_envs), seed=config.seed)
+    task = make_task(config.env)
+    envs = make_training_envs(task, config.n_envs)
+    return build_model(config, task, envs, seed=config.seed)
 
 
 def _sb3_model(config: RunConfig, algorithm: type, envs: Any) -> Any:

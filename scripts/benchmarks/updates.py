@@ -10,6 +10,7 @@ from parking_exp import compose
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.argument_limits import RELABEL_OPTIONS
 from parking_exp.config.schema import RunConfig
+from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 
 
@@ -64,7 +65,9 @@ def sb3_classes(algorithm: str) -> list[str]:
 
 def _filled(config: RunConfig, transitions: int) -> Any:
     """Return a model with a filled replay buffer."""
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    task = make_task(config.env)
+    envs = make_training_envs(task, config.n_envs)
+    model = build_model(config, task, envs, seed=0)
     model.set_logger(Logger(None, []))
     model.learning_starts = transitions
     model.learn(transitions)
@@ -78,7 +81,7 @@ def _sbx_model(config: RunConfig, ours: Any, gradient_steps: int) -> Any:
 
     model = getattr(sbx, config.algorithm.name.upper())(
         "MultiInputPolicy",
-        make_training_envs(config.env, config.n_envs),
+        make_training_envs(make_task(config.env), config.n_envs),
         learning_rate=1e-3,
         batch_size=ours.batch_size,
         tau=ours.tau,

@@ -14,6 +14,7 @@ from support.runs import make_config, options
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import ConfigError
+from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 
 SMALL = ("experiment=smoke", "tracking.mlflow=false")
@@ -107,8 +108,10 @@ def test_what_the_library_refuses_is_a_config_error():
         update={"policy_kwargs": {"optimizer_kwargs": {"betas": [2, 2]}}}
     )
     config = config.model_copy(update={"algorithm": algorithm})
+    task = make_task(config.env)
+    envs = make_training_envs(task, config.n_envs)
     with pytest.raises(ConfigError, match=r"parking_exp.algorithms.SAC .*Invalid beta"):
-        build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+        build_model(config, task, envs, seed=0)
 
 
 def test_a_runs_threads_and_precision_hold_while_it_runs():
@@ -126,9 +129,11 @@ import sys, tempfile
 from pathlib import Path
 from support.runs import make_config
 from parking_exp.algorithms.build_model import build_model
+from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 config = make_config("experiment=smoke")
-model = build_model(config, make_training_envs(config.env, 2), seed=0).learn(100)
+task = make_task(config.env)
+model = build_model(config, task, make_training_envs(task, 2), seed=0).learn(100)
 model.save(Path(tempfile.mkdtemp()) / "model.zip")
 print(model._n_updates > 0, "torch._dynamo" in sys.modules)
 """

@@ -19,6 +19,7 @@ from support.runs import make_config
 from parking_exp.algorithms import fast
 from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
+from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 
 ALGORITHMS = ("SAC", "TD3", "DDPG")
@@ -171,7 +172,7 @@ class OtherExtractor(CombinedExtractor):
     ],
 )
 def test_unsupported_models_are_trained_by_stable_baselines3(arguments):
-    env = make_training_envs(make_config().env, 2)
+    env = make_training_envs(make_task(make_config().env), 2)
     arguments = {"policy": "MultiInputPolicy", "env": env, "seed": 0, "buffer_size": 10} | arguments
     theirs, ours = sb3.SAC(**arguments), fast.SAC(**arguments)
     assert not is_supported(ours)

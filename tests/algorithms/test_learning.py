@@ -9,6 +9,7 @@ from support.runs import make_config
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.fast.fast_training import is_supported
+from parking_exp.tasks.registry import make_task
 
 # The bound and four standard deviations of a rate over 200 episodes: 1 %.
 UNTRAINED = CHANCE + 4 * (CHANCE * (1 - CHANCE) / 200) ** 0.5
@@ -28,7 +29,7 @@ def untrained(algorithm, *overrides):
         *(["algorithm.action_noise=null"] if algorithm in {"td3", "ddpg"} else []),
     )  # fmt: skip
     env = DummyVecEnv([Reach] * 4)
-    model = build_model(config, env, seed=0)
+    model = build_model(config, make_task(config.env), env, seed=0)
     model.set_logger(Logger(None, []))
     env.seed(0)
     return model

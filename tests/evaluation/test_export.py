@@ -1,6 +1,4 @@
-"""Exported policies: what is in the files, that they give the model's actions, and what is
-refused.
-"""
+"""Exported policies give the model's actions."""
 
 import re
 import shutil
@@ -200,9 +198,7 @@ def test_without_the_extra_onnx_is_refused(run, monkeypatch):
 
 
 def drive(example, run, folder):
-    """Export a pretrained agent and run an example of the docs beside the file; return what it
-    prints.
-    """
+    """Export an agent, run an example of the docs beside it, and return what that prints."""
     assert call_script("export", f"run={run}", "path=policy.onnx", cwd=folder).returncode == 0
     (folder / "drive.py").write_text(BLOCKED + example)
     command = [sys.executable, "drive.py"]

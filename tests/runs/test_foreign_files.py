@@ -1,6 +1,4 @@
-"""Files that others may have put into an output directory: pipes, loops of links, bombs, sparse
-files.
-"""
+"""Files that others may have put into an output directory: pipes, links, sparse files."""
 
 import os
 

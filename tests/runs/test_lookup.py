@@ -12,9 +12,7 @@ from parking_exp.runs.lookup import find_run
 
 @pytest.fixture
 def output_dir(tmp_path):
-    """An output directory with two runs of an experiment: the one worked on last has no model
-    yet.
-    """
+    """An output directory with two runs: the one worked on last has no model yet."""
     for seed in (0, 1):
         run = tmp_path / "outputs" / "sweep" / "cell" / f"seed={seed}"
         (run / "models").mkdir(parents=True)

@@ -1,6 +1,4 @@
-"""Stored configs are data: read back as they were written, or refused with the key that is
-wrong.
-"""
+"""Stored configs are read back as they were, or refused with the key that is wrong."""
 
 import pytest
 from support.runs import make_config

@@ -3,6 +3,7 @@
 from stable_baselines3.common.logger import Logger
 
 from parking_exp.algorithms.build_model import build_model
+from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from support.runs import make_config
 
@@ -14,6 +15,8 @@ def make_model(*overrides, seed=0, **keywords):
 
 def model_of(config, seed=0, **keywords):
     """The same of a config that is composed already."""
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed, **keywords)
+    task = make_task(config.env)
+    envs = make_training_envs(task, config.n_envs)
+    model = build_model(config, task, envs, seed, **keywords)
     model.set_logger(Logger(None, []))
     return model

@@ -165,7 +165,8 @@ def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_the
 
 def test_what_the_reward_needs_of_info_is_stored_and_relabelled_with():
     run = config(f"{TOY}Priced-v0", "n_envs=2", "buffer.relabel_terminated=sb3")
-    model = build_model(run, make_training_envs(run.env, 2), seed=0)
+    task = make_task(run.env)
+    model = build_model(run, task, make_training_envs(task, 2), seed=0)
     model.set_logger(Logger(None, []))
     model.learning_starts = 200
     model.learn(200)
@@ -194,7 +195,8 @@ def test_training_envs_continue_identically_after_restoring(overrides):
     env = validate(
         compose_configs("config", [*overrides, "n_envs=2", "algorithm.learning_starts=1000"])[0]
     ).env
-    first, second = make_training_envs(env, 2), make_training_envs(env, 2)
+    task = make_task(env)
+    first, second = make_training_envs(task, 2), make_training_envs(task, 2)
     first.seed(0)
     first.reset()
     size = first.action_space.shape[0]

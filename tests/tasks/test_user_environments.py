@@ -138,7 +138,8 @@ def test_seeds_of_parking_stay_what_they_were_since_published_policies_depend_on
 def test_further_entries_of_an_observation_are_normalised_and_used():
     """The entry is called `goal`, like the statistics of goals."""
     run = config("Signed")
-    model = build_model(run, make_training_envs(run.env, 1), seed=0)
+    task = make_task(run.env)
+    model = build_model(run, task, make_training_envs(task, 1), seed=0)
     extractor = model.actor.features_extractor
     normalizer = extractor.normalizer
     sizes = {"observation": 2, "achieved_goal": 2, "desired_goal": 2, "goal": 1}

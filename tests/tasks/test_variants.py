@@ -11,6 +11,7 @@ from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.pose import relative_pose
 from parking_exp.tasks.parking.reward import ParkingReward
+from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training.loop import derive_seeds
 
@@ -95,7 +96,7 @@ def test_a_sparse_step_costs_1_and_a_crash_the_collision_penalty_besides():
 def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
     """A car at 1.21 m beside the slot's centre: -0.11 by the root of 1.21 / 100."""
     config = make_config("env.training_success_goal_reward=0.1", f"env.simulator={simulator}").env
-    envs = make_training_envs(config, n_envs=1)
+    envs = make_training_envs(make_task(config), n_envs=1)
     goal = envs.reset()["desired_goal"]
     achieved = goal + np.array([0.0121, 0, 0, 0, 0, 0])
     for goal_reward, is_reached in (

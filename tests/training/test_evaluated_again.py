@@ -1,6 +1,4 @@
-"""A finished run with other settings of its final evaluation is evaluated again, and not trained
-again.
-"""
+"""A finished run with other settings of its final evaluation is only evaluated again."""
 
 import shutil
 

@@ -1,6 +1,4 @@
-"""Runs that are killed at any step end as if they had not been; these proofs take minutes (`make
-test-slow`).
-"""
+"""Runs that are killed at any step end as if they had not been (`make test-slow`)."""
 
 import json
 import random
@@ -48,9 +46,7 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
-    """Everything in the run directory, and every number in the store, to the last bit; only clocks
-    may differ.
-    """
+    """All files and all numbers in the store are equal to the last bit, but for clocks."""
     arguments = ("evaluation.video_episodes=0", "checkpoint.every_n_steps=25", *KINDS[kind])
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
     done = run_script("train", *arguments, f"output_dir={whole}")
@@ -94,16 +90,12 @@ def last_step(output_dir):
 
 
 def is_training(output_dir, since):
-    """Whether a process that was started then has made its envs and its logger, which opens this
-    file.
-    """
+    """Whether a process that was started then has made its logger, which opens this file."""
     return any(path.stat().st_mtime > since for path in output_dir.glob("*/*/seed=*/progress.csv"))
 
 
 def seconds_of_training(directory):
-    """From the making of the envs to the last checkpoint, which comes before the final
-    evaluation.
-    """
+    """From the making of the envs to the last checkpoint, before the final evaluation."""
     start = json.loads((directory.path / "monitor.csv").read_text().split("\n", 1)[0][1:])[
         "t_start"
     ]

@@ -1,6 +1,4 @@
-"""The exponential moving average of the actor, in evaluations and in files; test_resume.py resumes
-it.
-"""
+"""The exponential moving average of the actor, in evaluations and in files."""
 
 import pytest
 import torch

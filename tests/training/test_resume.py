@@ -92,9 +92,7 @@ def configured(output_dir, *overrides):
 
 
 def run(output_dir, *overrides, cuts=()):
-    """Return the directory of a run that each of `cuts` interrupts, one after the other, and that
-    is then finished.
-    """
+    """The directory of a run that each of `cuts` interrupts in turn, and that is then finished."""
     config = configured(output_dir, *overrides)
     for interruption in cuts:
         disturb()

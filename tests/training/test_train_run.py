@@ -1,6 +1,4 @@
-"""A run from its config to its result: its files and its MLflow run, also after a kill or a
-failure.
-"""
+"""A run from its config to its result, also after a kill or a failure."""
 
 import re
 import shutil
@@ -138,7 +136,9 @@ def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_
         table.loc["final"], table.loc["certified"].rename({"certified": "final"})
     )
     config = directory.config()
-    model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
+    task = make_task(config.env)
+    envs = make_training_envs(task, 1)
+    model = build_model(config, task, envs, seed=0, for_training=False)
     load_weights(directory.models / "final.zip", model)
     theirs = evaluate(
         greedy_policy(model), make_task(config.env), range(5), simulator="highway_env"
@@ -210,9 +210,10 @@ def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     assert {"replay/real_share", "final/success_rate", "final/certified_success_rate"} <= {
         *events.Tags()["scalars"]
     }
-    env = make_training_envs(config.env, 1)
+    task = make_task(config.env)
+    env = make_training_envs(task, 1)
     observation, plain = env.reset(), stable_baselines3.SAC.load(path / "models" / "final.zip")
-    ours = build_model(config, env, seed=1, for_training=False)
+    ours = build_model(config, task, env, seed=1, for_training=False)
     load_weights(path / "models" / "final.zip", ours)
     assert (
         plain.predict(observation, deterministic=True)[0] == greedy_policy(ours)(observation)
@@ -289,9 +290,7 @@ def test_two_processes_do_not_work_on_one_run(tmp_path):
 
 @pytest.mark.slow
 def test_a_full_disk_under_a_checkpoint_fails_the_run_without_a_traceback(tmp_path):
-    """A file-size limit stands in for it: that of the replay buffer, which is too large in the last
-    of some.
-    """
+    """A limit of file sizes stands in for it: the replay buffer grows beyond it."""
     command, keywords = script(
         "train", "experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false", "evaluation.video_episodes=0",
         "evaluation.every_n_steps=null", "updates_per_step=0.1", "total_timesteps=4000",
