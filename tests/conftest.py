@@ -63,3 +63,12 @@ def smoke(tmp_path_factory):
         subprocess.CompletedProcess(*json.loads(process_file.read_text())),
         output_dir,
     )
+
+
+@pytest.fixture
+def srun(tmp_path_factory, monkeypatch):
+    """Put on PATH the one program that submitit looks for to find a Slurm."""
+    program = tmp_path_factory.mktemp("slurm") / "srun"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent), prepend=os.pathsep)

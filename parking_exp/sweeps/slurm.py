@@ -1,4 +1,4 @@
-"""The slurm launcher: jobs of submitit, on a Slurm cluster or as processes of this machine.
+"""The slurm launcher: jobs of submitit on a Slurm cluster.
 
 The end of a job is judged by `squeue` and by its run directory: without accounting, submitit does
 not notice that a job was cancelled, ran out of time or lost its node.
@@ -9,28 +9,25 @@ import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from parking_exp.config.paths import refuse_links
 from parking_exp.errors import ConfigError, FailedRunError, first_line, plural
-from parking_exp.resources import cores
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.local import check_n_jobs
 from parking_exp.sweeps.supervisor import GRACE_S, supervise_job
 from parking_exp.terminal import say
 from parking_exp.training.signals import stop_on_signal
 
-POLL_S = {"local": 0.2, "slurm": 5.0}
+POLL_S = 5.0
 
 
 class SlurmLauncher:
     """Jobs on a cluster, whose nodes share the file system of the run directories.
 
     Args:
-        executor: `slurm`, or `local` for processes of this machine.
-        n_jobs: how many at a time; None: as many as the cluster takes, or this machine has cores.
+        n_jobs: how many at a time; None: as many as the cluster takes.
         folder: of submitit's files; None: `.submitit` in the output directory.
         parameters: of submitit's `AutoExecutor.update_parameters`.
 
@@ -39,7 +36,7 @@ class SlurmLauncher:
     """
 
     def __init__(
-        self, executor: str, n_jobs: int | None, folder: str | None, parameters: Mapping[str, Any]
+        self, n_jobs: int | None, folder: str | None, parameters: Mapping[str, Any]
     ) -> None:
         if not isinstance(parameters, Mapping):
             raise ConfigError(
@@ -47,9 +44,8 @@ class SlurmLauncher:
             )
         if not isinstance(folder, str | None):
             raise ConfigError(f"hydra.launcher.folder={folder} is not a path")
-        self.executor = executor
         self.folder = Path(folder) if folder else None
-        self.n_jobs = check_n_jobs(n_jobs) or (len(cores()) if executor == "local" else None)
+        self.n_jobs = check_n_jobs(n_jobs)
         self.parameters = {key: value for key, value in parameters.items() if value is not None}
         self._submitter(Path())  # before anything is on disk
 
@@ -64,91 +60,90 @@ class SlurmLauncher:
             UntrustedError: a link leads out of the output directory, to which submitit would write.
             InterruptedRunError: a signal stopped it.
         """
-        from submitit.core.utils import FailedJobError
-
-        output_dir = paths[0].parents[2]
-        folder = self.folder
-        if folder is None:
-            folder = output_dir / ".submitit"
-            refuse_links(
-                [folder, *folder.rglob("*")], output_dir
-            )  # the output directory may come from others
-        submitter = self._submitter(folder)
-        waiting, jobs, active = list(paths), dict[Path, Any](), list[Any]()
-        with stop_on_signal(
-            signals=(signal.SIGINT, signal.SIGTERM)
-        ) as request:  # jobs outlive a closed terminal
+        submitter = self._submitter(self._submitit_folder(paths[0].parents[2]))
+        n_at_once = self.n_jobs or len(paths)
+        waiting = list(paths)
+        jobs: dict[Path, Any] = {}
+        active: list[Any] = []
+        # Jobs outlive a closed terminal.
+        with stop_on_signal(signals=(signal.SIGINT, signal.SIGTERM)) as request:
             try:
                 while (waiting or active) and not request.is_made:
-                    while (
-                        waiting
-                        and len(active) < (self.n_jobs or len(paths))
-                        and not request.is_made
-                    ):
+                    while waiting and len(active) < n_at_once and not request.is_made:
                         path = waiting.pop(0)
-                        # Ctrl-C waits for `sbatch`, so that every submitted job is known, and
-                        # cancelled.
-                        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-                        try:
-                            jobs[path] = submitter.submit(supervise_job, path)
-                            active.append(jobs[path])
-                        finally:
-                            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-                    time.sleep(POLL_S[self.executor])
-                    active = self._unfinished(active)
-            except FailedJobError as error:
-                raise FailedRunError(
-                    f"submitit cannot submit: {str(error).splitlines()[-1]}"
-                ) from error
+                        jobs[path] = _submit(submitter, path, active)
+                    time.sleep(POLL_S)
+                    active = _unfinished(active)
             finally:
-                self._cancel(active)
+                _cancel(active)
         request.raise_if_made()
-        early = [
-            job.paths.stderr for path, job in jobs.items() if read_state(path).stage == "pending"
-        ]
-        number = f"{len(early)} of {plural(len(jobs), 'job')}"
-        return (
-            f"{number} ended early, stopped by Slurm or a signal; the first log: {early[0]}"
-            if early
-            else None
-        )
+        return _early_ends(jobs)
+
+    def _submitit_folder(self, output_dir: Path) -> Path:
+        """Return the folder of submitit's files; an output directory may come from others."""
+        if self.folder is not None:
+            return self.folder
+        folder = output_dir / ".submitit"
+        refuse_links([folder, *folder.rglob("*")], output_dir)
+        return folder
 
     def _submitter(self, folder: Path) -> Any:
+        """Return submitit's executor, or raise ConfigError with its reason."""
         import submitit
 
         try:
-            submitter = submitit.AutoExecutor(folder=folder / "%j", cluster=self.executor)
+            submitter = submitit.AutoExecutor(folder=folder / "%j", cluster="slurm")
             submitter.update_parameters(**self.parameters)
         except (NameError, TypeError, ValueError, AssertionError, RuntimeError) as error:
             raise ConfigError(f"hydra.launcher: {first_line(error)}") from error
         return submitter
 
-    def _unfinished(self, jobs: list[Any]) -> list[Any]:
-        """Return the jobs that are queued or running; all of them while `squeue` fails."""
-        if self.executor == "local":
-            return [job for job in jobs if not job.done()]
-        command = ["squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}"]
-        try:
-            listed = subprocess.run(
-                command, capture_output=True, text=True, check=True, timeout=60
-            ).stdout.split()
-        except (
-            subprocess.SubprocessError,
-            OSError,
-        ) as error:  # e.g. the controller is being restarted
-            say(f"warning: {error}; trying again", stderr=True)
-            return jobs
-        return [job for job in jobs if job.job_id in listed]
 
-    def _cancel(self, jobs: list[Any]) -> None:
-        """Ask jobs to stop, and wait a while until their runs are saved."""
-        if not jobs:
-            return
-        deadline = time.monotonic() + GRACE_S + 1
-        if self.executor == "slurm":
-            subprocess.run(["scancel", "--quiet", *(job.job_id for job in jobs)], check=False)
-        for job in jobs if self.executor == "local" else ():  # its `cancel` kills within a second
-            with suppress(ProcessLookupError):
-                os.kill(int(job.job_id), signal.SIGTERM)
-        while time.monotonic() < deadline and (jobs := self._unfinished(jobs)):
-            time.sleep(POLL_S[self.executor])
+def _submit(submitter: Any, path: Path, active: list[Any]) -> Any:
+    """Submit the job of a run, add it to the active ones, and return it."""
+    from submitit.core.utils import FailedJobError
+
+    # Ctrl-C waits for `sbatch`, so that every submitted job is known, and cancelled.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        job = submitter.submit(supervise_job, path)
+        active.append(job)
+    except FailedJobError as error:
+        reason = str(error).splitlines()[-1]
+        raise FailedRunError(f"submitit cannot submit: {reason}") from error
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    return job
+
+
+def _unfinished(jobs: list[Any]) -> list[Any]:
+    """Return the jobs that are queued or running; all of them while `squeue` fails."""
+    command = ["squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    except (subprocess.SubprocessError, OSError) as error:  # e.g. the controller is restarting
+        say(f"warning: {error}; trying again", stderr=True)
+        return jobs
+    listed = done.stdout.split()
+    return [job for job in jobs if job.job_id in listed]
+
+
+def _cancel(jobs: list[Any]) -> None:
+    """Ask jobs to stop, and wait a while until their runs are saved."""
+    if not jobs:
+        return
+    deadline = time.monotonic() + GRACE_S + 1
+    subprocess.run(["scancel", "--quiet", *(job.job_id for job in jobs)], check=False)
+    while jobs and time.monotonic() < deadline:
+        jobs = _unfinished(jobs)
+        if jobs:
+            time.sleep(POLL_S)
+
+
+def _early_ends(jobs: Mapping[Path, Any]) -> str | None:
+    """Return how many jobs ended before their runs did, and the log of the first one, or None."""
+    logs = [job.paths.stderr for path, job in jobs.items() if read_state(path).stage == "pending"]
+    if not logs:
+        return None
+    number = f"{len(logs)} of {plural(len(jobs), 'job')}"
+    return f"{number} ended early, stopped by Slurm or a signal; the first log: {logs[0]}"

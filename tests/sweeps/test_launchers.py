@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import psutil
 import pytest
 from support.sweep_processes import (
     FAILING,
@@ -25,14 +24,13 @@ from parking_exp.sweeps import slurm as slurm_launcher
 
 RAY = Path(sys.executable).with_name("ray")
 BASIC = ("hydra/launcher=basic",)
-SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local", "hydra.launcher.n_jobs=2")
-SLURM_CLUSTER = (
+SLURM = (
     "hydra/launcher=slurm",
     "hydra.launcher.parameters.mem_gb=1",
     "hydra.launcher.n_jobs=2",
 )
 RAY_CLUSTER = ("hydra/launcher=ray",)
-LAUNCHERS = [BASIC, SLURM, SLURM_CLUSTER, RAY_CLUSTER]  # test_sweep.py is about the local one
+LAUNCHERS = [BASIC, SLURM, RAY_CLUSTER]  # test_sweep.py is about the local one
 
 
 def ray(*arguments):
@@ -65,7 +63,7 @@ def slurm():
 
 @pytest.fixture
 def launcher(request):
-    if request.param == SLURM_CLUSTER:
+    if request.param == SLURM:
         request.getfixturevalue("slurm")
     if request.param == RAY_CLUSTER:
         pytest.importorskip("ray")
@@ -93,24 +91,24 @@ def test_every_run_is_trained_failures_are_reported_and_nothing_is_done_twice(tm
     assert trained(tmp_path) == [1, 1, 1]
 
 
-@pytest.mark.parametrize("launcher", [SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
+@pytest.mark.usefixtures("slurm")
 @pytest.mark.slow
-def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path, launcher):
-    process = begin(tmp_path, "seeds=3", *SLOW, *launcher)
+def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path):
+    process = begin(tmp_path, "seeds=3", *SLOW, *SLURM)
     wait_until(lambda: any(tmp_path.glob("*/*/*/checkpoints/step=*")))
     process.kill()
     process.communicate()
-    done = sweep(tmp_path, "seeds=3", *SLOW, *launcher, timeout=300)
+    done = sweep(tmp_path, "seeds=3", *SLOW, *SLURM, timeout=300)
     assert done.returncode == 0, done.stderr
     wait_until(
         lambda: stages(tmp_path) == ["done"] * 3
     )  # submitit's jobs outlive the sweep that submitted them
 
 
-@pytest.mark.parametrize("launcher", [SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
+@pytest.mark.usefixtures("slurm")
 @pytest.mark.slow
-def test_ctrl_c_saves_what_is_under_way(tmp_path, launcher):
-    process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null", *launcher)
+def test_ctrl_c_saves_what_is_under_way(tmp_path):
+    process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null", *SLURM)
     wait_until(lambda: any(tmp_path.glob("*/*/*/metrics.jsonl")))
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=30)
@@ -119,33 +117,13 @@ def test_ctrl_c_saves_what_is_under_way(tmp_path, launcher):
     assert any(tmp_path.glob("*/*/*/checkpoints/step=*"))
 
 
-@pytest.mark.slow
-def test_a_job_that_is_killed_is_reported_in_one_sentence_and_the_sweep_returns(tmp_path):
-    process = begin(tmp_path, "seeds=2", *SLOW, *SLURM)
-    wait_until(
-        lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2
-    )
-    (worker,) = [
-        status["pid"] for (_, seed), status in statuses(tmp_path).items() if seed == "seed=0"
-    ]
-    psutil.Process(worker).parent().kill()
-    _, errors = process.communicate(timeout=120)
-    assert process.returncode == 2
-    (line,) = [line for line in errors.splitlines() if "ended early" in line]
-    assert line.startswith("error: 1 of 2 jobs ended early")
-    assert stages(tmp_path) == [
-        "done",
-        "running",
-    ]  # the second says so for good, and its lock is free
-
-
 @pytest.fixture
-def fake(tmp_path, monkeypatch):
+def fake(tmp_path, monkeypatch, srun):
     """Put shell scripts on PATH: the n-th call of a command does its n-th line, further ones its
     last.
     """
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    monkeypatch.setitem(slurm_launcher.POLL_S, "slurm", 0)
+    monkeypatch.setattr(slurm_launcher, "POLL_S", 0)
 
     def write(name, *lines):
         cases = "".join(f"{number}) {line};;\n" for number, line in enumerate(lines[:-1], 1))
@@ -156,16 +134,13 @@ def fake(tmp_path, monkeypatch):
         )
         path.chmod(0o755)
 
-    write("srun", "true")
     return write
 
 
 def train_on_slurm(tmp_path, n_jobs=None):
     """Train two runs, which the fake Slurm never starts."""
     pytest.importorskip("submitit")
-    launcher = slurm_launcher.SlurmLauncher(
-        "slurm", n_jobs, str(tmp_path / "submitit"), {"mem_gb": 1}
-    )
+    launcher = slurm_launcher.SlurmLauncher(n_jobs, str(tmp_path / "submitit"), {"mem_gb": 1})
     problem = launcher.train([tmp_path / f"seed={seed}" for seed in range(2)])
     return problem, (tmp_path / "calls").read_text().split()
 
@@ -199,13 +174,14 @@ def test_a_job_that_slurm_refuses_cancels_those_before_it(tmp_path, fake):
     ]
 
 
+@pytest.mark.usefixtures("srun")
 def test_a_link_out_of_the_output_directory_is_refused_where_submitit_would_write(tmp_path):
     pytest.importorskip("submitit")
     output_dir, elsewhere = tmp_path / "outputs", tmp_path / "elsewhere"
     elsewhere.mkdir()
     output_dir.mkdir()
     (output_dir / ".submitit").symlink_to(elsewhere)
-    launcher = slurm_launcher.SlurmLauncher("local", 1, None, {})
+    launcher = slurm_launcher.SlurmLauncher(1, None, {})
     with pytest.raises(UntrustedError, match=r"\.submitit is a symbolic link that leads out"):
         launcher.train([output_dir / "sweep" / "cell" / "seed=0"])
     assert list(elsewhere.iterdir()) == []

@@ -230,7 +230,7 @@ def test_the_configs_of_queued_runs_are_frozen(tmp_path):
     assert all("gamma: 0.9" in config.read_text() for config in configs)
 
 
-SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
+SLURM = ("hydra/launcher=slurm",)
 
 
 def test_a_plan_warns_of_a_ratio_far_from_what_the_number_of_envs_suggests(tmp_path):
@@ -257,6 +257,7 @@ def test_a_launcher_in_an_experiment_file_makes_the_sweep_use_it(tmp_path, monke
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.usefixtures("srun")
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -266,7 +267,6 @@ def test_a_launcher_in_an_experiment_file_makes_the_sweep_use_it(tmp_path, monke
         (["hydra/launcher=ray_a"], "hydra/launcher=ray_a"),
         (["hydra.launcher.n_jobs=0"], "hydra.launcher.n_jobs=0"),
         (["hydra/launcher=ray"], "ray"),  # not installed, or without a cluster
-        ([*SLURM, "hydra.launcher.executor=slurm"], "srun"),
         (
             [*SLURM, "hydra.launcher.parameters.slurm_nodelist=n1"],
             "hydra.launcher.parameters.slurm_nodelist",
@@ -276,11 +276,8 @@ def test_a_launcher_in_an_experiment_file_makes_the_sweep_use_it(tmp_path, monke
     ],
 )
 def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(
-    tmp_path, monkeypatch, arguments, words
+    tmp_path, arguments, words
 ):
-    monkeypatch.setenv(
-        "PATH", str(tmp_path)
-    )  # without Slurm's commands, also where there is a Slurm
     done = call_script("train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", *arguments)
     assert done.returncode == 2
     assert words in done.stderr
@@ -289,6 +286,7 @@ def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("srun")
 def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted():
     keys = (
         "hydra.launcher.parameters.slurm_qos=high",

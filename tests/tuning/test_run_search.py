@@ -166,9 +166,9 @@ def test_two_calls_share_the_trials_of_a_study(tmp_path):
     assert trained(tmp_path) == [1] * 4
 
 
+@pytest.mark.usefixtures("srun")
 def test_a_search_refuses_launchers_of_clusters(tmp_path):
-    executor = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
-    done = call_script("tune", *QUICK, f"output_dir={tmp_path}", *executor)
+    done = call_script("tune", *QUICK, f"output_dir={tmp_path}", "hydra/launcher=slurm")
     assert done.returncode == 2
     assert done.stderr.startswith("error: a search trains on this machine;")
     assert list(tmp_path.iterdir()) == []
