@@ -1,18 +1,17 @@
 """Group runs into labelled cells, and select some of them by label, pattern or config."""
 
 import ast
+import fnmatch
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from itertools import product
 
 import pandas as pd
 from pydantic import TypeAdapter
 
 from parking_exp.config.cell_labels import (
-    GROUPS,
     LABEL,
     Config,
     Factor,
@@ -25,7 +24,6 @@ from parking_exp.config.cell_labels import (
 )
 from parking_exp.config.overrides import without_quotes
 from parking_exp.errors import ConfigError, suggestion
-from parking_exp.reports import report_request
 
 CONFIG = "config."
 CONTRASTS = TypeAdapter(list[tuple[str, str]] | None)
@@ -129,18 +127,62 @@ def choose_cells(
     A pattern is e.g. `her_*`. KEY is a group, a config key or the end of one; the values are those
     it may have.
     """
-    names = [text for text in wanted if "=" not in text or _find_named(cells, text)]
-    conditions = [text for text in wanted if text not in names]
+    labels = {cell.label for cell in cells} | {cell.name for cell in cells}
+    words = {cell: _list_words(cell) for cell in cells}
+    named = []
     selected = list(cells)
-    if names:
-        fitting = [cell for name in names for cell in _find_matching(cells, name, key)]
-        selected = [cell for cell in cells if cell in fitting]
-    for condition in conditions:
-        fitting = _find_configured(cells, condition)
+    for text in wanted:
+        if "=" not in text or text in labels:
+            named += _find_matching(words, text, key)
+            continue
+        fitting = []
+        for alternative in _split_condition(text, words):
+            fitting += _find_matching(words, alternative, key)
         selected = [cell for cell in selected if cell in fitting]
+    if named:
+        selected = [cell for cell in selected if cell in named]
     if not selected:
         raise ConfigError(f"{key}: no cell fits all of {', '.join(wanted)}")
     return selected
+
+
+Words = dict[CellRuns, set[str]]
+"""What each cell may be selected by."""
+
+
+def _list_words(cell: CellRuns) -> set[str]:
+    """Return the label of a cell, its parts, and `KEY=VALUE` for each end of its config's keys."""
+    words = {cell.label, cell.name, *cell.label.split(", ")}
+    for key, value in cell.config.items():
+        if can_matter(key) or key == LABEL:
+            text = _normalise(setting(value))
+            parts = key.split(".")
+            words |= {f"{'.'.join(parts[n:])}={text}" for n in range(len(parts))}
+            words.add(f"{key.removesuffix('.name')}={text}")
+    return words
+
+
+def _split_condition(text: str, words: Words) -> list[str]:
+    """Return `KEY=VALUE` of each value of a condition; commas may be part of a value."""
+    key, _, values = text.partition("=")
+    whole = f"{key}={_normalise(without_quotes(values))}"
+    if any(whole in own for own in words.values()):
+        return [whole]
+    return [f"{key}={_normalise(value)}" for value in _split_values(values)]
+
+
+def _find_matching(words: Words, pattern: str, key: str) -> list[CellRuns]:
+    """Return the cells that have a label, a name or a word, else those that a pattern fits."""
+    fitting = [cell for cell in words if pattern in (cell.label, cell.name)]
+    if not fitting:
+        fitting = [cell for cell, own in words.items() if pattern in own]
+    if not fitting:
+        fitting = [cell for cell, own in words.items() if fnmatch.filter(own, pattern)]
+    if not fitting:
+        has = "has" if "=" in pattern else "is called"
+        known = set().union(*words.values()) if "=" in pattern else {cell.label for cell in words}
+        raise ConfigError(f"{key}: no cell {has} {pattern!r}{suggestion(pattern, known)}")
+    return fitting
 
 
 def find_cell(
@@ -160,59 +202,11 @@ def find_cell(
     return fitting[0]
 
 
-def _find_named(cells: Sequence[CellRuns], name: str) -> list[CellRuns]:
-    return [cell for cell in cells if name in (cell.label, cell.name)]
-
-
-def _find_matching(cells: Sequence[CellRuns], pattern: str, key: str) -> list[CellRuns]:
-    """Return the cells with a label or a name, else those that a pattern or a part fits."""
-    fitting = _find_named(cells, pattern)
-    if not fitting:
-        for cell in cells:
-            words = [cell.label, cell.name, *cell.label.split(", ")]
-            if any(fnmatchcase(word, pattern) for word in words):
-                fitting.append(cell)
-    if not fitting:
-        hint = suggestion(pattern, [cell.label for cell in cells])
-        raise ConfigError(f"{key}: no cell is called {pattern!r}{hint}")
-    return fitting
-
-
-def _find_configured(cells: Sequence[CellRuns], condition: str) -> list[CellRuns]:
-    """Return the cells whose config fits `KEY=VALUE,VALUE`."""
-    name, _, text = condition.partition("=")
-    key = _find_key(cells, name)
-    texts = {cell: setting(cell.config[key]) for cell in cells if key in cell.config}
-    values = {cell: _normalise(value) for cell, value in texts.items()}
-
-    wanted = [_normalise(without_quotes(text))]
-    if wanted[0] not in values.values():
-        wanted = [_normalise(value) for value in _split_values(text)]
-    for value in wanted:
-        if value not in values.values():
-            raise ConfigError(f"{name}={value}: no run has that{suggestion(value, texts.values())}")
-    return [cell for cell, value in values.items() if value in wanted]
-
-
-def _find_key(cells: Sequence[CellRuns], name: str) -> str:
-    """Return the config key that a group, a key or the end of one stands for."""
-    keys = {key for key in set().union(*(cell.config for cell in cells)) if can_matter(key)}
-    keys.add(LABEL)
-    exact = f"{name}.name" if name in GROUPS else name
-    endings = [key for key in keys if key.endswith(f".{name}")]
-    if exact in keys:
-        return exact
-    if len(endings) == 1:
-        return endings[0]
-    hint = suggestion(name, {*GROUPS, *report_request.KEYS, *keys})
-    raise ConfigError(f"{name}: neither a key of this command nor of these runs' configs{hint}")
-
-
 def _normalise(text: str) -> str:
-    """Return a value without spaces, and a number as Python writes it: `2e-3` is 0.002."""
+    """Return a value without spaces, and a number as settings are written: `2e-3` is 0.002."""
     bare = text.replace(" ", "")
     try:
-        return repr(float(bare))
+        return setting(float(bare))
     except ValueError:
         return bare
 

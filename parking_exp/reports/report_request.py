@@ -11,7 +11,7 @@ from parking_exp.config.validate import parse
 from parking_exp.config_model import ConfigModel
 from parking_exp.errors import ConfigError, did_you_mean
 
-SIMILAR = 0.8  # similarity from which on a key counts as misspelt
+SIMILAR = 0.75  # similarity from which on a key counts as misspelt
 
 
 class ReportOptions(ConfigModel):
