@@ -18,6 +18,7 @@ from parking_exp.config.cell_labels import (
     Setting,
     can_matter,
     find_factors,
+    hashable,
     label_cells,
     labels_from_factors,
     setting,
@@ -153,7 +154,7 @@ Words = dict[CellRuns, set[str]]
 def _list_words(cell: CellRuns) -> set[str]:
     """Return the label of a cell, its parts, and `KEY=VALUE` for each end of its config's keys."""
     words = {cell.label, cell.name, *cell.label.split(", ")}
-    for key, value in cell.config.items():
+    for key, value in {**cell.config, **cell.settings}.items():
         if can_matter(key) or key == LABEL:
             text = _normalise(setting(value))
             parts = key.split(".")
@@ -261,53 +262,40 @@ def match_cells(
     replay.
 
     Raises:
-        ConfigError: there is no such factor or level, or no two cells match.
+        ConfigError: there is no such key or level, or no two cells match.
     """
     name, _, levels = contrast.partition(":")
-    named = [factor for factor in factors if name in (factor.key, factor.name)]
-    if not named:
-        hint = suggestion(name, [factor.name for factor in factors])
-        raise ConfigError(f"contrast={contrast}: these cells do not differ in {name!r}{hint}")
-    factor = named[0]
-    first_level, second_level = _find_levels(factor, levels, contrast)
-    first_cells = [cell for cell in cells if _level(cell, factor) == first_level]
-    second_cells = [cell for cell in cells if _level(cell, factor) == second_level]
-    others = [other for other in factors if other is not factor]
+    first_cells, second_cells = _find_sides(cells, name, levels, f"contrast={contrast}")
+    others = [factor for factor in factors if name not in (factor.key, factor.name)]
     pairs = [
         (first, second)
         for first, second in product(first_cells, second_cells)
         if first is not second and _are_matched(first, second, others)
     ]
     if not pairs:
-        raise ConfigError(
-            f"contrast={contrast}: no two of these cells differ in {factor.name} alone"
-        )
+        raise ConfigError(f"contrast={contrast}: no two of these cells differ in {name} alone")
     return pairs
 
 
-def _find_levels(factor: Factor, text: str, contrast: str) -> tuple[str, str]:
-    """Return the two levels of `LEVEL-LEVEL`, which may have hyphens themselves."""
-    known = {_normalise(setting(level)) for level in factor.levels}
-    splits = [
-        (_normalise(text[: hyphen.start()]), _normalise(text[hyphen.end() :]))
-        for hyphen in re.finditer("-", text)
-    ]
-    best = max(splits, key=lambda levels: len(known.intersection(levels)))
-    for level in best:
-        if level not in known:
-            hint = suggestion(level, map(setting, factor.levels))
-            raise ConfigError(f"contrast={contrast}: {factor.name} has no level {level!r}{hint}")
-    return best
-
-
-def _level(cell: CellRuns, factor: Factor) -> str:
-    return _normalise(setting(cell.settings[factor.key]))
+def _find_sides(
+    cells: Sequence[CellRuns], name: str, levels: str, key: str
+) -> tuple[list[CellRuns], list[CellRuns]]:
+    """Return the cells with each level of `LEVEL-LEVEL`; a level may have hyphens itself."""
+    problems = []
+    for hyphen in re.finditer("-", levels):
+        first = f"{name}={levels[: hyphen.start()]}"
+        second = f"{name}={levels[hyphen.end() :]}"
+        try:
+            return choose_cells(cells, [first], key), choose_cells(cells, [second], key)
+        except ConfigError as error:
+            problems.append(error)
+    raise problems[0]
 
 
 def _are_matched(first: CellRuns, second: CellRuns, factors: Sequence[Factor]) -> bool:
     """Return whether two cells are equal in the factors that both have."""
     for factor in factors:
-        levels = (first.settings[factor.key], second.settings[factor.key])
-        if None not in levels and _level(first, factor) != _level(second, factor):
+        levels = {hashable(first.settings[factor.key]), hashable(second.settings[factor.key])}
+        if len(levels - {hashable(None)}) > 1:
             return False
     return True

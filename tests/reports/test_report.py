@@ -183,7 +183,7 @@ def test_hostile_names_are_text_everywhere(output_dir):
         (["experiment=on"], r"experiment=on: there is no such experiment in sqlite:///.*; did you mean 'one'\?"),
         (["experiment=one", "td4"], r"cells: no cell is called 'td4'; did you mean 'td3'\?"),
         (["experiment=one", "nmae=x"], r"nmae: there is no such key; did you mean 'name'\?"),
-        (["experiment=one", "contrast=algorithm:sac-td4"], "algorithm has no level 'td4'; did you mean 'td3'"),
+        (["experiment=one", "contrast=algorithm:sac-td4"], "no cell has 'algorithm=td4'; did you mean 'algorithm=td3'"),
         (["experiment=one", "contrast=sac-td3"], "contrast=sac-td3: write a factor and two of its levels, e.g. contrast=b"),
         (["contrast=algorithm:sac-td3", "baseline=sac"], "contrast: cannot be combined with baseline=sac"),
         (["experiment=one", "report=quik"], r"report=quik: there is no such option; did you mean 'quick'\?"),

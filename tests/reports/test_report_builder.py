@@ -294,9 +294,9 @@ def test_levels_of_a_contrast_may_be_numbers_with_hyphens():
 @pytest.mark.parametrize(
     ("contrast", "message"),
     [
-        ("bufer:her_future-replay", "these cells do not differ in 'bufer'; did you mean 'buffer'?"),
-        ("buffer:her_futur-replay", "buffer has no level 'her_futur'; did you mean 'her_future'?"),
-        ("gamma:0.95-0.8", "gamma has no level '0.8'; did you mean '0.9'?"),
+        ("bufer:replay-x", "no cell has 'bufer=replay'; did you mean 'buffer=replay'?"),
+        ("buffer:her_futur-x", "no cell has 'buffer=her_futur'; did you mean 'buffer=her_future'?"),
+        ("gamma:0.95-0.8", "no cell has 'gamma=0.8'; did you mean 'gamma=0.9'?"),
         ("gamma:0.9-0.90", "no two of these cells differ in gamma alone"),
     ],
 )
