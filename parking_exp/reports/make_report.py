@@ -4,7 +4,7 @@ import json
 import re
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +19,7 @@ from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_files import write_report
 from parking_exp.reports.report_request import ReportRequest
 from parking_exp.reports.search_report import Tuning, add_search, add_tuning
+from parking_exp.reports.sections import Section, load_sections
 from parking_exp.results.frame_export import (
     REPORT,
     read_export,
@@ -46,12 +47,13 @@ def make_report(request: ReportRequest) -> Path:
     export_folder = directory_path(request.export) if request.export else None
     if export_folder:
         refuse_foreign(export_folder)
+    own_sections = load_sections(request.report.sections)
     with console(stderr=True).status("") as progress:
         source = _read_source(request, progress.update)
         progress.update(f"comparing {plural(len(source.results.runs), 'run')}")
         report = _build_content(request, source)
         progress.update("drawing")
-        folder = _write_files(request, report)
+        folder = _write_files(request, report, own_sections)
         if export_folder:
             progress.update("exporting")
             write_report_export(source, report, export_folder, only_cells=bool(request.cells_asked))
@@ -116,7 +118,9 @@ def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
     return add_tuning(report, source.tuning) if source.tuning else report
 
 
-def _write_files(request: ReportRequest, report: ReportData) -> Path:
+def _write_files(
+    request: ReportRequest, report: ReportData, own_sections: Sequence[Section]
+) -> Path:
     """Write a report into the output directory, and return its folder."""
     # In a store, experiments may be called anything.
     name = request.name or re.sub(r"[^\w.+-]|^\.", "_", "+".join(report.experiments))
@@ -125,7 +129,7 @@ def _write_files(request: ReportRequest, report: ReportData) -> Path:
     refuse_links(folder.rglob("*"), folder)
     folder.mkdir(parents=True, exist_ok=True)
     with FileLock(folder / ".lock"):
-        write_report(report, folder, request.report.formats)
+        write_report(report, folder, request.report.formats, own_sections)
     return folder
 
 

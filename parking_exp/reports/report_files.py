@@ -12,7 +12,13 @@ import pandas as pd
 
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_page import render_page
-from parking_exp.reports.sections import SectionContent, draw, section_contents
+from parking_exp.reports.sections import (
+    Section,
+    SectionContent,
+    draw,
+    section_contents,
+    sections_of,
+)
 from parking_exp.reports.tables.latex import to_latex
 from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically
@@ -20,12 +26,16 @@ from parking_exp.runs.atomic_files import write_atomically
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 
-def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> None:
+def write_report(
+    report: ReportData, folder: Path, formats: Sequence[str], own_sections: Sequence[Section] = ()
+) -> None:
     """Write all files of a report, the page last; figures and tables are replaced as a whole."""
+    sections = [*sections_of(report), *own_sections]
     numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as temporary:
         new = Path(temporary)
-        contents = section_contents(report, draw(report, new / "figures", formats))
+        pictures = draw(report, new / "figures", formats, sections)
+        contents = section_contents(report, pictures, sections)
         write_tables(contents, new / "tables")
         html = render_page(report, contents)
         for name in ("figures", "tables"):

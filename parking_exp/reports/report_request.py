@@ -19,6 +19,7 @@ class ReportOptions(ConfigModel):
 
     quick: bool
     formats: list[Literal["svg", "png"]]
+    sections: list[str]
 
 
 class ReportRequest(OutputConfig):

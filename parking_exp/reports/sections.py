@@ -9,6 +9,8 @@ from pathlib import Path
 
 import matplotlib.figure
 
+from parking_exp.config.constructor_arguments import import_object
+from parking_exp.errors import ConfigError
 from parking_exp.figure_style import Drawing, clean, report_style
 from parking_exp.reports.cell_summaries import HOLD
 from parking_exp.reports.figures.cell_figures import (
@@ -146,6 +148,26 @@ def sections_of(report: ReportData) -> list[Section]:
         if section.id == "seeds":
             for task in task_reports(report.tasks):
                 sections += map(_adapt_section, task.sections)
+        sections.append(section)
+    return sections
+
+
+def load_sections(paths: Sequence[str]) -> list[Section]:
+    """Return sections of a user's own package, by their dotted paths.
+
+    Raises:
+        ConfigError: there is no such section.
+    """
+    sections = []
+    for path in paths:
+        try:
+            section = import_object(path)
+        except ConfigError as error:
+            raise ConfigError(f"report.sections: {path}: {error}") from error
+        if not isinstance(section, Section):
+            raise ConfigError(
+                f"report.sections: {path} is not a parking_exp.reports.sections.Section"
+            )
         sections.append(section)
     return sections
 

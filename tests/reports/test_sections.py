@@ -1,11 +1,20 @@
 """A section of one's own: what `docs/extending.md` shows."""
 
+import pytest
 from support import report_factory
 
+from parking_exp.errors import ConfigError
 from parking_exp.figure_style import new_figure
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.report_page import render_page
-from parking_exp.reports.sections import Section, SectionFigure, draw, section_contents, sections_of
+from parking_exp.reports.sections import (
+    Section,
+    SectionFigure,
+    draw,
+    load_sections,
+    section_contents,
+    sections_of,
+)
 from parking_exp.reports.tables.table import (
     Table,
     cell_column,
@@ -56,6 +65,26 @@ def test_a_new_section_is_one_entry_of_the_list(tmp_path):
     write_tables(contents, tmp_path)
     header, *_ = (tmp_path / "timeouts.csv").read_text().splitlines()
     assert header == "cell,label,timeout,timeout_low,timeout_high"
+
+
+def test_a_section_of_a_users_package_is_named_in_the_config():
+    assert load_sections([f"{__name__}.SLOW"]) == [SLOW]
+
+
+@pytest.mark.parametrize(
+    ("path", "problem"),
+    [
+        (
+            "nothing.here",
+            "report.sections: nothing.here: ModuleNotFoundError: No module named 'nothing'",
+        ),
+        ("json.dumps", "report.sections: json.dumps is not a parking_exp.reports.sections.Section"),
+    ],
+)
+def test_what_is_no_section_is_refused(path, problem):
+    with pytest.raises(ConfigError) as error:
+        load_sections([path])
+    assert str(error.value) == problem
 
 
 def test_a_section_without_anything_to_say_is_left_out():
