@@ -32,10 +32,20 @@ def content(configs, seeds=range(3), look=lambda label, seed: Run(), **options):
     return build_report(results(configs, seeds, look), ["one"], **options)
 
 
+def with_success(rates):
+    """Runs of these final rates, by label and seed."""
+    return lambda label, seed: Run(success=rates[label][seed])
+
+
+def by_seed(*runs):
+    """The same runs in every cell."""
+    return lambda label, seed: runs[seed]
+
+
 @pytest.fixture(scope="module")
 def two():
     """Two algorithms with five seeds each."""
-    return content(ALGORITHMS, range(5), lambda label, seed: Run(success=ENDS[label][seed]))
+    return content(ALGORITHMS, range(5), with_success(ENDS))
 
 
 def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
@@ -78,37 +88,35 @@ def test_claims_have_the_better_cell_the_difference_and_its_p_value(two):
 
 def test_ranks_that_disagree_are_named():
     starts = {"sac": [0.0, *([0.99] * 9)], "td3": [0.95] * 10}
-    report = content(ALGORITHMS, range(10), lambda name, seed: Run(success=starts[name][seed]))
+    report = content(ALGORITHMS, range(10), with_success(starts))
     # Nine of the ten seeds are better, one is at 0.
     assert report.claims[1].endswith(", but by ranks p < 0.001).")
 
 
 def test_ten_healthy_seeds_have_no_warning():
     ends = np.random.default_rng(0).choice([0.4, 0.6, 0.8], 10)
-    assert content({"sac": {}}, range(10), lambda _, seed: Run(success=ends[seed])).warnings == []
+    assert content({"sac": {}}, range(10), with_success({"sac": ends})).warnings == []
 
 
 def test_with_a_baseline_the_family_is_all_others_against_it():
-    def look(label, seed):
-        return Run(success=int(label) / 5 + (0.2 if seed else 0))
-
+    look = with_success({"1": [0.2, 0.4, 0.4], "2": [0.4, 0.6, 0.6], "4": [0.8, 1.0, 1.0]})
     report = content(GOALS, look=look, baseline="n_sampled_goal=2")
-    labels = {cell.id: cell.label for cell in report.cells}
-    pairs = {(labels[pair.a], labels[pair.b]) for pair in report.pairs}
-    assert pairs == {(f"n_sampled_goal={n}", "n_sampled_goal=2") for n in (1, 4)}
-    p = sorted(pair.p for pair in report.pairs)
-    corrected = sorted(pair.p_corrected for pair in report.pairs)
-    assert corrected == pytest.approx([min(2 * p[0], 1), min(2 * p[1], 1)])
+    assert matched(report) == {
+        ("n_sampled_goal=1", "n_sampled_goal=2"),
+        ("n_sampled_goal=4", "n_sampled_goal=2"),
+    }
+    for pair in report.pairs:
+        assert pair.p_corrected == pytest.approx(min(2 * pair.p, 1))
     assert len(content(GOALS, look=look).pairs) == 3
 
 
 def test_cells_that_do_not_differ_significantly_are_not_ranked():
     ends = {"sac": [0.8, 1.0, 0.6], "td3": [0.8, 0.8, 0.6]}
-    report = content(ALGORITHMS, look=lambda label, seed: Run(success=ends[label][seed]))
+    report = content(ALGORITHMS, look=with_success(ends))
     assert report.pairs[0].verdict == "same"
     assert "td3 (+6.7 points [" in report.claims[1]
     assert not any("is better than" in claim for claim in report.claims)
-    tied = content(ALGORITHMS, range(2), lambda label, seed: Run(success=1.0 - 0.2 * seed))
+    tied = content(ALGORITHMS, range(2), by_seed(Run(1.0), Run(0.8)))
     assert tied.claims[0].startswith("sac and td3 have the same final success, the highest: 90.0 %")
 
 
@@ -119,7 +127,7 @@ def test_mixed_conditions_are_warned_of():
     }  # fmt: skip
     columns = {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40}
     configs = {"plain": {}, **{key: {key: value} for key, value in conditions.items()}}
-    report = content(configs, range(2), lambda label, seed: Run(columns=columns if seed else {}))
+    report = content(configs, range(2), by_seed(Run(), Run(columns=columns)))
     mixed = [line for line in report.warnings if line.startswith("Mixed")]
     assert mixed == [
         "Mixed highway-env: 1.12.1 and 1.11.0.",
@@ -158,10 +166,8 @@ def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons():
 
 
 def test_a_run_without_a_final_rate_is_left_out_with_a_warning():
-    rates = [0.6, np.nan, 0.6]
-    report = content(
-        {"sac": {}}, look=lambda _, seed: Run(0.6, columns={"success_rate": rates[seed]})
-    )
+    blank = Run(columns={"success_rate": np.nan})
+    report = content({"sac": {}}, look=by_seed(Run(0.6), blank, Run(0.6)))
     assert (report.cells[0].success.value, report.cells[0].success.n) == (pytest.approx(0.6), 2)
     assert any("no final success rate" in line for line in report.warnings)
     (headline,) = report_tables.headline(report)
@@ -177,27 +183,26 @@ def test_runs_of_different_lengths_have_curves_as_far_as_they_go():
 
 
 def test_time_to_90_percent_is_censored_where_it_was_not_held():
-    curves = {0: [1 / 3, 1.0, 1.0, 1.0], 1: [0.0, 1.0, 1 / 3, 1.0]}
-    (cell,) = content({"sac": {}}, [0, 1], lambda _, seed: Run(curve=curves[seed])).cells
+    runs = by_seed(Run(curve=[1 / 3, 1.0, 1.0, 1.0]), Run(curve=[0.0, 1.0, 1 / 3, 1.0]))
+    (cell,) = content({"sac": {}}, [0, 1], runs).cells
     times = [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds]
     assert times == [(200, True), (200, False)]
     assert (cell.survival.k, cell.survival.n, cell.survival.median) == (1, 2, 200)
     assert cell.median_cpu_s == 150.0
     assert cell.seeds[0].area == pytest.approx((2 / 3 + 1 + 1) / 3)
     assert cell.area.low < cell.area.value < cell.area.high
-    (perfect,) = content({"sac": {}}, [0, 1], lambda *_: Run(curve=[1.0] * 4)).cells
+    (perfect,) = content({"sac": {}}, [0, 1], by_seed(*[Run(curve=[1.0] * 4)] * 2)).cells
     assert perfect.area == Interval(1.0, n=2)
 
 
 def test_fewer_than_three_evaluations_say_nothing_of_the_time_to_90_percent():
-    (cell,) = content({"sac": {}}, [0], lambda *_: Run(curve=[0.5, 1.0])).cells
+    (cell,) = content({"sac": {}}, [0], by_seed(Run(curve=[0.5, 1.0]))).cells
     assert (cell.seeds[0].steps_to_90, cell.survival, cell.seeds[0].area) == (None, None, 0.75)
 
 
 def test_unfinished_runs_are_missing_and_quick_shows_their_curves():
-    def look(_, seed):
-        return Run(status="interrupted", curve=(0, 0.5)) if seed else Run()
-
+    interrupted = Run(status="interrupted", curve=(0, 0.5))
+    look = by_seed(Run(), interrupted, interrupted)
     report = content({"sac": {}}, look=look)
     assert report.missing == ["Runs done: 1 of 3; 2 interrupted or not started."]
     assert report.cells[0].curve.n == [1, 1, 1, 1]
@@ -208,8 +213,8 @@ def test_unfinished_runs_are_missing_and_quick_shows_their_curves():
 
 def test_without_a_finished_run_only_a_quick_report_is_made():
     with pytest.raises(RunNotFoundError, match="2 runs, none is done; report=quick"):
-        content({"sac": {}}, range(2), lambda *_: Run(status="interrupted"))
-    report = content({"sac": {}}, range(2), lambda *_: Run(status="interrupted"), quick=True)
+        content({"sac": {}}, range(2), by_seed(*[Run(status="interrupted")] * 2))
+    report = content({"sac": {}}, [0], by_seed(Run(status="interrupted")), quick=True)
     assert (report.cells[0].success.value, report.claims) == (None, [])
     assert report.cells[0].curve is not None
 
@@ -485,7 +490,7 @@ def test_a_baseline_without_a_finished_run_is_refused_and_a_quick_report_compare
 
 def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts():
     looks = [Run(columns={"seed": 0}), Run(0.2, status="failed", columns={"seed": 0})]
-    report = content({"sac": {}}, [0, 1], lambda _, seed: looks[seed])
+    report = content({"sac": {}}, [0, 1], by_seed(*looks))
     assert [seed.success for seed in report.cells[0].seeds] == [0.8]
 
 
@@ -500,11 +505,10 @@ def test_levels_that_do_not_differ_are_said_to_be_indistinguishable():
 
 def test_levels_are_compared_only_where_the_crossing_is_complete():
     cells = crossed(goals=(1, 2, 4))
+    runs = by_seed(Run(0.2), Run(0.4), Run(0.6))
     for removed, complete in (("final4", [False, False]), ("future1", [])):
         del cells[removed]
-        report = content(
-            cells, look=lambda label, seed: Run(success=0.2 * (seed + ("future" in label)))
-        )
+        report = content(cells, look=runs)
         assert [effect.complete for effect in report.effects] == complete
         assert not any("averaged over other factors" in claim for claim in report.claims)
 
