@@ -18,7 +18,7 @@ from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_files import write_report
 from parking_exp.reports.report_request import ReportRequest
-from parking_exp.reports.search_report import Tuning, add_search, add_tuning
+from parking_exp.reports.search_report import add_search, add_tuning
 from parking_exp.reports.sections import Section, load_sections
 from parking_exp.results.frame_export import (
     REPORT,
@@ -33,13 +33,14 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import console, program, say
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
+from parking_exp.tuning.search import StoredSearch
 
 
 class ReportSource(NamedTuple):
     """What a report is made of: results of experiments, and an export's search."""
 
     results: Results
-    tuning: Tuning | None = None
+    tuning: StoredSearch | None = None
 
 
 def make_report(request: ReportRequest) -> Path:
@@ -146,7 +147,8 @@ def read_report_export(folder: str) -> ReportSource:
     """Return what the export of a report has."""
     results = read_export(folder)
     try:
-        tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
+        stored = results.about["report"].get("tuning")
+        tuning = TypeAdapter(StoredSearch | None).validate_python(stored)
     except (ValidationError, KeyError, AttributeError) as error:
         path = Path(folder) / REPORT
         raise ResultsError(f"{path} can't be read: it does not describe a report") from error

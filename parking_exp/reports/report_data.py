@@ -13,7 +13,7 @@ from parking_exp.statistics import Interval, MainEffect, Proportion, SurvivalCur
 from parking_exp.tasks.registry import FAILURES
 
 if TYPE_CHECKING:
-    from parking_exp.reports.search_report import Tuning
+    from parking_exp.tuning.search import StoredSearch
 
 MAX_DRAWN_PAIRS = 21  # all pairs of seven cells
 Verdict = Literal["a", "b", "same", "unknown"]
@@ -177,7 +177,7 @@ class ReportData:
     notes: Sequence[str] = ()
     reference: str | None = None  # id of the cell in all pairs, if any: the baseline or the best
     declared: bool = False  # whether the pairs are contrasts
-    tuning: "Tuning | None" = None
+    tuning: "StoredSearch | None" = None
 
     def cell(self, cell_id: str) -> Cell:
         """Return a cell by its id."""

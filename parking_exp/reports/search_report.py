@@ -3,17 +3,14 @@
 Optuna is imported only if an experiment has a search.
 """
 
-import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from pydantic import ValidationError
+from typing import Any
 
 from parking_exp.config_model import NAME
-from parking_exp.errors import ParkingError, ResultsError, first_line, plural
+from parking_exp.errors import ParkingError, first_line, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import (
@@ -25,44 +22,8 @@ from parking_exp.reports.tables.table import (
     text_column,
 )
 from parking_exp.statistics import Interval, SeedRates, compare, mean_interval
-from parking_exp.tuning.search import study_in
-from parking_exp.tuning.trials import (
-    OBJECTIVE,
-    RETEST_FILE,
-    RetestedTrial,
-    TrialRow,
-    describe_states,
-    rank_trials,
-    read_retest,
-)
-
-if TYPE_CHECKING:
-    from parking_exp.tuning.search import StoredSearch
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """The hyperparameter search of an experiment.
-
-    Attributes:
-        n_trials: number of trials requested.
-        objective: its name; it is maximised.
-        n_seeds: number of tuning seeds of each trial.
-        parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json`
-            describes it.
-        trials: trial 0 and those that have begun, by number.
-        retested: trials that were trained again on test seeds, best first.
-    """
-
-    experiment: str
-    sampler: str
-    pruner: str | None
-    n_trials: int
-    objective: str
-    n_seeds: int
-    parameters: Mapping[str, Mapping[str, Any]]
-    trials: Sequence[TrialRow]
-    retested: Sequence[RetestedTrial] = ()
+from parking_exp.tuning.search import StoredSearch, study_in
+from parking_exp.tuning.trials import RetestedTrial, describe_states, rank_trials
 
 
 def add_search(report: ReportData, output_dir: Path) -> ReportData:
@@ -70,16 +31,16 @@ def add_search(report: ReportData, output_dir: Path) -> ReportData:
     names = [name for name in report.experiments if re.fullmatch(NAME, name)]
     for folder in [output_dir / name for name in names]:
         try:
-            stored = study_in(folder)
-            if stored is not None:
-                return add_tuning(report, read_tuning(folder, stored))
+            tuning = study_in(folder)
+            if tuning is not None:
+                return add_tuning(report, tuning)
         except ParkingError as error:
             warning = f"The search of {folder.name} is left out: {first_line(error).rstrip('.')}."
             return replace(report, warnings=[*report.warnings, warning])
     return report
 
 
-def add_tuning(report: ReportData, tuning: Tuning) -> ReportData:
+def add_tuning(report: ReportData, tuning: StoredSearch) -> ReportData:
     """Return a report with a search, what it found, and a warning about comparing its cells."""
     claims = [*report.claims]
     remedy = "none was retrained on test seeds"
@@ -98,35 +59,6 @@ def add_tuning(report: ReportData, tuning: Tuning) -> ReportData:
         f"{remedy}."
     )
     return replace(report, tuning=tuning, claims=claims, warnings=[*report.warnings, warning])
-
-
-def read_tuning(folder: Path, stored: "StoredSearch") -> Tuning:
-    """Return the search in an experiment's folder, with its retrained trials.
-
-    Raises:
-        ResultsError: these are damaged.
-    """
-    from optuna.distributions import distribution_to_json
-
-    try:
-        retested = read_retest(folder)
-    except ValidationError as error:
-        raise ResultsError(f"{folder.name}/{RETEST_FILE} can't be read") from error
-    search = stored.search
-    return Tuning(
-        experiment=folder.name,
-        sampler=search.sampler,
-        pruner=search.pruner,
-        n_trials=stored.n_trials,
-        objective=OBJECTIVE,
-        n_seeds=len(search.tuning_seeds),
-        parameters={
-            name: json.loads(distribution_to_json(dimension.distribution()))
-            for name, dimension in search.space.items()
-        },
-        trials=stored.trials,
-        retested=retested,
-    )
 
 
 def _compare_seeds(trial: RetestedTrial) -> Interval:

@@ -1,5 +1,6 @@
 """A search: its settings, the config of each trial, its study."""
 
+import json
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,9 +16,9 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, refuse, validate
 from parking_exp.errors import ConfigError
 from parking_exp.runs.atomic_files import read_object, write_json
-from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
+from parking_exp.tuning.search_config import SearchFile, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_of, study_errors
-from parking_exp.tuning.trials import TrialRow, read_trials
+from parking_exp.tuning.trials import OBJECTIVE, RetestedTrial, TrialRow, read_retest, read_trials
 
 SEARCH_FILE = "search.json"
 _COMPOSING = threading.Lock()  # Hydra's state is global, and workers are threads
@@ -131,11 +132,27 @@ class Search:
 
 @dataclass(frozen=True)
 class StoredSearch:
-    """A search as other commands read it from its folder, with its trials so far."""
+    """A search as other commands read it from its folder, with its trials so far.
 
-    search: SearchConfig
+    Attributes:
+        n_trials: number of trials requested.
+        objective: its name; it is maximised.
+        n_seeds: number of tuning seeds of each trial.
+        parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json`
+            describes it.
+        trials: trial 0 and those that have begun, by number.
+        retested: trials that were trained again on test seeds, best first.
+    """
+
+    experiment: str
+    sampler: str
+    pruner: str | None
     n_trials: int
-    trials: list[TrialRow]
+    objective: str
+    n_seeds: int
+    parameters: Mapping[str, Mapping[str, Any]]
+    trials: Sequence[TrialRow]
+    retested: Sequence[RetestedTrial] = ()
 
 
 def study_in(folder: Path) -> StoredSearch | None:
@@ -143,16 +160,31 @@ def study_in(folder: Path) -> StoredSearch | None:
 
     Raises:
         ConfigError: its settings are damaged.
-        StoreError: the journal is damaged.
+        StoreError: its trials are damaged.
         UntrustedError: see `storage_of`.
     """
     content = read_object(folder / SEARCH_FILE)
     if not content:
         return None
-    stored = check(SearchFile, content)
     import optuna
+    from optuna.distributions import distribution_to_json
 
+    stored = check(SearchFile, content)
+    settings = stored.search
     with study_errors(folder.name):
         study = optuna.load_study(study_name=folder.name, storage=storage_of(folder))
-    trials = read_trials(study, folder, stored.search.space, stored.n_trials)
-    return StoredSearch(stored.search, stored.n_trials, trials)
+        retested = read_retest(folder)
+    return StoredSearch(
+        experiment=folder.name,
+        sampler=settings.sampler,
+        pruner=settings.pruner,
+        n_trials=stored.n_trials,
+        objective=OBJECTIVE,
+        n_seeds=len(settings.tuning_seeds),
+        parameters={
+            name: json.loads(distribution_to_json(dimension.distribution()))
+            for name, dimension in settings.space.items()
+        },
+        trials=read_trials(study, folder, settings.space, stored.n_trials),
+        retested=retested,
+    )

@@ -13,8 +13,9 @@ from support.store_factory import Look, make_store
 
 from parking_exp.reports.make_report import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.search_report import Tuning, add_tuning
+from parking_exp.reports.search_report import add_tuning
 from parking_exp.results import load
+from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.trials import TrialRow
 
 CELLS = {
@@ -120,7 +121,7 @@ def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
     trial = TrialRow(
         0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"]
     )
-    search = Tuning(
+    search = StoredSearch(
         "one", "tpe", None, 2, "success_auc", 2, {"algorithm.gamma": kind}, [trial], retested=[]
     )
     data = add_tuning(report_of(source), search)

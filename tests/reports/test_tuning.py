@@ -7,7 +7,6 @@ from functools import cache
 
 import optuna
 import pytest
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.trial import TrialState, create_trial
 from pydantic import TypeAdapter
 from support import report_factory
@@ -20,24 +19,16 @@ from parking_exp.reports.figures.study_figures import (
 )
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.search_report import (
-    Tuning,
     add_search,
     add_tuning,
     describe_search,
-    read_tuning,
 )
 from parking_exp.reports.sections import SECTIONS, draw, section_contents
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import SeedRates, compare, mean_interval
-from parking_exp.tuning.search import StoredSearch
+from parking_exp.tuning.search import StoredSearch, study_in
 from parking_exp.tuning.study import storage_of
-from parking_exp.tuning.trials import read_trials
 
-DISTRIBUTIONS = {
-    "algorithm.learning_rate": FloatDistribution(1e-4, 1e-2, log=True),
-    "buffer": CategoricalDistribution(["her_future", "replay"]),
-    "buffer.n_sampled_goal": IntDistribution(1, 8),
-}
 SPACE = {
     "algorithm.learning_rate": {"log": [1e-4, 1e-2]},
     "buffer": {"choices": ["her_future", "replay"]},
@@ -51,30 +42,27 @@ def trial(*values, rate=1e-3, buffer="her_future", **attributes):
     parameters = {"algorithm.learning_rate": rate, "buffer": buffer}
     if buffer == "her_future":
         parameters["buffer.n_sampled_goal"] = 4
+    space = settings(space=SPACE).space
     return create_trial(
         state=TrialState.COMPLETE if values else TrialState.PRUNED,
         values=values or None,
         params=parameters,
-        distributions={name: DISTRIBUTIONS[name] for name in parameters},
+        distributions={name: space[name].distribution() for name in parameters},
         user_attrs=attributes,
     )
 
 
-def tuning(folder, trials):
-    """What a report has of a search with these trials."""
-    study = optuna.create_study(direction="maximize")
-    study.add_trials(trials)
-    search = settings(space=SPACE)
-    rows = read_trials(study, folder, search.space, len(trials))
-    return read_tuning(folder, StoredSearch(search, len(trials), rows))
+def add(folder, *trials):
+    """Add trials to the study of a folder."""
+    optuna.create_study(
+        study_name="smoke", storage=storage_of(folder), direction="maximize", load_if_exists=True
+    ).add_trials(trials)
 
 
-def many(folder):
-    """A search whose values follow from the learning rate alone."""
-    buffers = ("her_future", "replay")
-    return tuning(
-        folder, [trial(k / 20, rate=10 ** (-4 + k / 10), buffer=buffers[k % 2]) for k in range(20)]
-    )
+def write_search(folder, **changes):
+    folder.mkdir(exist_ok=True)
+    plain = settings(space=SPACE).model_dump(by_alias=True)
+    write_json(folder / "search.json", {"n_trials": 3, "search": plain, **changes})
 
 
 def write_retest(folder, *trials):
@@ -89,34 +77,34 @@ def write_retest(folder, *trials):
         }
         for number, tuned, test in trials
     ]
-    write_json(folder / "retest.json", {"objective": "success_auc", "trials": items})
+    write_json(folder / "retest.json", {"trials": items})
 
 
-def write_search(folder, **changes):
-    folder.mkdir(exist_ok=True)
-    plain = settings(space=SPACE).model_dump(by_alias=True)
-    write_json(folder / "search.json", {"n_trials": 3, "search": plain, **changes})
+def tuning(folder, trials):
+    """What a report has of a search with these trials."""
+    add(folder, *trials)
+    write_search(folder, n_trials=len(trials))
+    return study_in(folder)
+
+
+def many(folder):
+    """A search whose values follow from the learning rate alone."""
+    buffers = ("her_future", "replay")
+    return tuning(
+        folder, [trial(k / 20, rate=10 ** (-4 + k / 10), buffer=buffers[k % 2]) for k in range(20)]
+    )
 
 
 @pytest.fixture
 def folder(tmp_path):
     """The folder of an experiment."""
-    path = tmp_path / "smoke"
-    path.mkdir()
-    return path
-
-
-def add(folder, *trials):
-    """Add trials to the study."""
-    optuna.create_study(
-        study_name="smoke", storage=storage_of(folder), direction="maximize", load_if_exists=True
-    ).add_trials(trials)
+    return tmp_path / "smoke"
 
 
 @pytest.fixture
 def begun(folder):
-    """The folder of a search in its own storage."""
-    add(folder, trial(0.5), trial(0.25, rate=2e-3))
+    """The folder of a search with two of three trials."""
+    tuning(folder, [trial(0.5), trial(0.25, rate=2e-3)])
     write_search(folder)
     return folder
 
@@ -141,43 +129,41 @@ def written(whole, folder):
 
 
 def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
+    folder.mkdir()
+    write_retest(folder, (0, [0.5], [0.5]))  # one seed: no interval
     search = many(folder)
     assert search.parameters["buffer"]["attributes"]["choices"] == ["her_future", "replay"]
-    write_retest(folder, (0, [0.5], [0.5]))  # one seed: no interval
     plain = json.loads(json.dumps(report(tuning=search).plain(), allow_nan=False))
-    exported = TypeAdapter(Tuning).validate_python(plain["tuning"])
+    exported = TypeAdapter(StoredSearch).validate_python(plain["tuning"])
     assert exported == search
     importances = optuna.importance.get_param_importances(rebuild_study(exported))
     assert next(iter(importances)) == "algorithm.learning_rate"
     assert importances["algorithm.learning_rate"] > 0.5
 
 
-def test_importance_takes_trials_that_differ(folder):
-    assert len([*draw_parameter_importance(report(tuning=many(folder)))]) == 1
+def test_importance_takes_trials_that_differ(tmp_path):
+    assert len([*draw_parameter_importance(report(tuning=many(tmp_path / "smoke")))]) == 1
     few = [trial(k / 20, rate=1e-3 + k * 1e-4) for k in range(MIN_TRIALS - 1)]
-    for trials in (few, [trial(0.5, rate=1e-3 + k * 1e-4) for k in range(MIN_TRIALS)]):
-        assert not [*draw_parameter_importance(report(tuning=tuning(folder, trials)))]
+    same = [trial(0.5, rate=1e-3 + k * 1e-4) for k in range(MIN_TRIALS)]
+    for name, trials in (("few", few), ("same", same)):
+        search = tuning(tmp_path / name / "smoke", trials)
+        assert not [*draw_parameter_importance(report(tuning=search))]
 
 
 def test_retrained_trials_have_intervals_and_so_has_tuning_minus_test(folder, tmp_path):
     tuned, test = [0.9, 0.8], [0.7, 0.6, 0.8]
+    folder.mkdir()
     write_retest(folder, (1, tuned, test), (0, [0.5, 0.4], [0.5, 0.4, 0.6]))
     whole = report(tuning=tuning(folder, [trial(0.45), trial(0.85)]))
-    assert whole.claims[0].startswith(
+    claim = whole.claims[0]
+    assert claim.startswith(
         "On 3 test seeds, “trial 1: unchanged” is the best of 2 retrained trials: "
     )
-    assert (
-        "success_auc 70.0 % [" in whole.claims[0]
-        and "tuning minus test +15.0 points [" in whole.claims[0]
-    )
+    assert "success_auc 70.0 % [" in claim and "tuning minus test +15.0 points [" in claim
     assert whole.warnings[-1].endswith("; compare the trials retrained on test seeds.")
     best, other = written(whole, tmp_path / "tables")["retest"]
-    assert (best["number"], best["n_tuning"], best["n_test"], other["number"]) == (
-        "1",
-        "2",
-        "3",
-        "0",
-    )
+    assert (best["number"], other["number"]) == ("1", "0")
+    assert (best["n_tuning"], best["n_test"]) == ("2", "3")
     (difference,) = compare([([SeedRates(tuned)], [SeedRates(test)])])
     intervals = {
         "tuning": mean_interval(tuned),
@@ -226,7 +212,7 @@ def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     ("damage", "words"),
     [
         (lambda folder: write_search(folder, search={"name": "x"}), "space"),
-        (lambda folder: write_retest(folder, (0, [2.0], [0.5])), "smoke/retest.json"),
+        (lambda folder: write_retest(folder, (0, [2.0], [0.5])), "the study smoke can't be used: "),
         (lambda folder: add(folder, trial(0.5, by_seed="x")), "the study smoke can't be used: "),
     ],
     ids=["settings", "retest", "trial"],

@@ -11,14 +11,14 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from parking_exp.figure_style import WIDTH_IN, Drawing, report_style
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.search_report import Tuning
+from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.trials import rank_trials
 
 MAX_SLICES = 4  # in one figure
 MIN_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 
-def rebuild_study(tuning: Tuning) -> Any:
+def rebuild_study(tuning: StoredSearch) -> Any:
     """Return an in-memory study of a report's finished trials, which may be from an export."""
     import optuna
     from optuna.distributions import json_to_distribution
@@ -40,7 +40,7 @@ def rebuild_study(tuning: Tuning) -> Any:
     return study
 
 
-def _plot(name: str, tuning: Tuning, height: float = 3.0, **arguments: Any) -> Any:
+def _plot(name: str, tuning: StoredSearch, height: float = 3.0, **arguments: Any) -> Any:
     """Return the figure of a search that a function of `optuna.visualization.matplotlib` draws."""
     import optuna.visualization.matplotlib
     from matplotlib import pyplot
