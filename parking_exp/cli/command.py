@@ -61,12 +61,6 @@ def run_command(
 
 
 def _run(config_name: str, command: Command, read: Callable[[list[str]], list[str]]) -> None:
-    try:
-        Path.cwd()
-    except FileNotFoundError as error:
-        raise ConfigError(
-            "the working directory does not exist any more; change to one that does"
-        ) from error
     options, words = _parse(sys.argv[1:])
     overrides = [to_hydra_syntax(override) for override in read(words)]
     if options.help:

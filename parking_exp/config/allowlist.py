@@ -30,49 +30,15 @@ CLASSES = {
     "stable_baselines3.common.utils": ["ConstantSchedule", "LinearSchedule"],
     "stable_baselines3.her": ["HerReplayBuffer"],
     "torch.nn": [
-        *(
-            "CELU",
-            "ELU",
-            "GELU",
-            "Hardsigmoid",
-            "Hardswish",
-            "Hardtanh",
-            "Identity",
-            "LeakyReLU",
-            "LogSigmoid",
-            "Mish",
-        ),
-        *(
-            "PReLU",
-            "RReLU",
-            "ReLU",
-            "ReLU6",
-            "SELU",
-            "SiLU",
-            "Sigmoid",
-            "Softplus",
-            "Softsign",
-            "Tanh",
-            "Tanhshrink",
-        ),
+        "CELU", "ELU", "GELU", "Hardsigmoid", "Hardswish", "Hardtanh", "Identity", "LeakyReLU",
+        "LogSigmoid", "Mish", "PReLU", "RReLU", "ReLU", "ReLU6", "SELU", "SiLU", "Sigmoid",
+        "Softplus", "Softsign", "Tanh", "Tanhshrink",
     ],
     "torch.optim": [
-        *(
-            "ASGD",
-            "Adadelta",
-            "Adafactor",
-            "Adagrad",
-            "Adam",
-            "AdamW",
-            "Adamax",
-            "Muon",
-            "NAdam",
-            "RAdam",
-            "RMSprop",
-        ),
-        *("Rprop", "SGD"),
+        "ASGD", "Adadelta", "Adafactor", "Adagrad", "Adam", "AdamW", "Adamax", "Muon", "NAdam",
+        "RAdam", "RMSprop", "Rprop", "SGD",
     ],
-}
+}  # fmt: skip
 ALLOWED = frozenset(f"{module}.{name}" for module, names in CLASSES.items() for name in names)
 
 

@@ -50,20 +50,19 @@ def setting_text(value: Setting) -> str:
 
     A text that would be read as anything else is in double quotes.
     """
-    text = str(value)
-    return (
-        json.dumps(value, ensure_ascii=False)
-        if isinstance(value, str) and parse_value(text) != value
-        else text
-    )
+    if isinstance(value, str) and parse_value(value) != value:
+        return json.dumps(value, ensure_ascii=False)
+    return str(value)
 
 
 def parse_value(text: str | None) -> Setting:
     """Return the setting that a text stands for: None, a bool, a number or a text; lists and
     mappings are text.
     """
-    if text in (None, "None", "True", "False"):
-        return {"True": True, "False": False}.get(text or "")
+    if text is None or text == "None":
+        return None
+    if text in ("True", "False"):
+        return text == "True"
     if text.startswith('"'):
         with suppress(ValueError):  # it was cut, or is of an earlier version
             return str(json.loads(text))
@@ -94,33 +93,59 @@ def find_factors(
 
     The value is None if a cell's config has no such key.
     """
-    given: dict[str, list[Setting]] = {
-        EXPERIMENT: [*experiments],
-        LABEL: [config.get(LABEL) for config in configs],
-    }
-    columns = {key: values for key, values in given.items() if len(set(values)) > 1}
-    varying = differing_keys(configs)
+    columns = _option_columns(configs, experiments)
+    grouped = {f"{group}.name" for group in GROUPS}
+    varying = [key for key in differing_keys(configs) if key not in grouped]
+    _add_key_columns(columns, varying, configs)
+    factors = [_factor(key, values, columns) for key, values in columns.items()]
+    settings = []
+    for cell in range(len(configs)):
+        settings.append({key: values[cell] for key, values in columns.items()})
+    return factors, settings
+
+
+def _option_columns(
+    configs: Sequence[Config], experiments: Sequence[str]
+) -> dict[str, list[Setting]]:
+    """Return the experiments, labels and options of groups by cell, where they differ."""
+    columns: dict[str, list[Setting]] = {}
+    if len(set(experiments)) > 1:
+        columns[EXPERIMENT] = list(experiments)
+    labels = [config.get(LABEL) for config in configs]
+    if len(set(labels)) > 1:
+        columns[LABEL] = labels
     for group in GROUPS:
-        if f"{group}.name" in varying:
-            names = [config.get(f"{group}.name") for config in configs]
-            if LABEL not in columns or not _follows(names, columns[LABEL]):
-                columns[group] = names
-            varying.remove(f"{group}.name")
+        options = [config.get(f"{group}.name") for config in configs]
+        is_labelled = LABEL in columns and _follows(options, labels)
+        if len(set(options)) > 1 and not is_labelled:
+            columns[group] = options
+    return columns
+
+
+def _add_key_columns(
+    columns: dict[str, list[Setting]], varying: Sequence[str], configs: Sequence[Config]
+) -> None:
+    """Add the values of those keys that no column determines."""
     options = list(columns.values())
-    n_distinct = len({tuple(hashable(config.get(key)) for key in varying) for config in configs})
-    # Evaluation keys come last. Among keys that change together, a top-level key represents keys of
-    # groups: `n_envs` the warm-up that it requires.
-    for key in sorted(varying, key=lambda key: (key.startswith("evaluation."), "." in key)):
+    rows = [tuple(hashable(config.get(key)) for key in varying) for config in configs]
+    n_distinct = len(set(rows))
+    for key in sorted(varying, key=_rank):
         values = [config.get(key) for config in configs]
+        if any(_follows(values, column) for column in options):
+            continue
         # In a search all keys change together, since the values of each are drawn from a range.
         is_drawn = len(set(map(hashable, values))) == n_distinct >= FEW_CELLS
-        same = [column for column in columns.values() if not is_drawn and _follows(column, values)]
-        if not any(_follows(values, column) for column in (*options, *same)):
+        if is_drawn or not any(_change_together(values, column) for column in columns.values()):
             columns[key] = _with_null(key, values, configs)
-    factors = [_factor(key, values, columns) for key, values in columns.items()]
-    return factors, [
-        {key: values[cell] for key, values in columns.items()} for cell in range(len(configs))
-    ]
+
+
+def _rank(key: str) -> tuple[bool, bool]:
+    """Return the rank of a key among keys that change together, which the first represents.
+
+    Evaluation keys come last, and keys of groups after top-level keys: `n_envs` represents the
+    warm-up that it requires.
+    """
+    return key.startswith("evaluation."), "." in key
 
 
 def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple[str, str], str]:
@@ -209,6 +234,11 @@ def _follows(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
     """Return whether a column determines the values."""
     options = list(map(hashable, column))
     return len(set(zip(options, map(hashable, values), strict=True))) == len(set(options))
+
+
+def _change_together(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
+    """Return whether values and a column determine each other."""
+    return _follows(values, column) and _follows(column, values)
 
 
 def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:

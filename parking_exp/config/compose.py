@@ -20,14 +20,11 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import (
     ConfigAttributeError,
     ConfigKeyError,
-    KeyValidationError,
     OmegaConfBaseException,
 )
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.constructor_arguments import argument_hint
 from parking_exp.config.grid import MAX_RUNS, Point, check_blocks, expand_points, seeds_of
-from parking_exp.config.hydra_settings import check_hydra_overrides, check_hydra_settings
 from parking_exp.config.overrides import (
     axes_of,
     config_dir,
@@ -38,7 +35,14 @@ from parking_exp.config.overrides import (
 )
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
-from parking_exp.errors import ConfigError, ParkingError, first_line, one_line, suggestion
+from parking_exp.errors import (
+    ConfigError,
+    ParkingError,
+    did_you_mean,
+    first_line,
+    one_line,
+    suggestion,
+)
 
 VERSION_BASE = "1.3"
 
@@ -121,7 +125,6 @@ def compose_runs(
         ConfigError: an override names no key or option, or the config does not compose.
     """
     hydra_lines = [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)]
-    check_hydra_overrides(config_name, hydra_lines)
     with hydra_ready():
         compose_point = _composer(config_name, hydra_lines)
         axes = axes_of(to_hydra_syntax(line) for line in overrides if not is_hydra_override(line))
@@ -149,11 +152,6 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
         options = {
             group: option for group, option in choices.items() if not group.startswith("hydra")
         }
-        if hydra_lines or any(
-            "/" in line for line in lines
-        ):  # only files of the user's own set keys of Hydra
-            plain = hydra.compose(config_name, return_hydra_config=True)
-            check_hydra_settings(config_name, config.hydra, plain.hydra)
         settings = cast(dict[str, Any], OmegaConf.to_container(config.hydra.launcher, resolve=True))
         with open_dict(config):
             del config["hydra"]
@@ -279,8 +277,6 @@ def _sentence(error: Exception) -> str:
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and cause.parent_node is not None:
         return _unknown_key(cause)
-    if any(isinstance(item, KeyValidationError) for item in (cause, error.__context__)):
-        return "a config file has a key that is null or not a word; write it in quotes, as 'null'"
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
         return f"{cause.full_key}: {first_line(cause)}"
     return one_line(error)
@@ -295,10 +291,8 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     path = next((path for path in settings_of(known) if f".{name}." in f"{path}."), None)
     if path is not None:  # a section was left out
         hint = f"; did you mean {f'{section}.{path.partition(name)[0]}{name}'.lstrip('.')!r}?"
-    elif "_target_" in known:
-        hint = argument_hint(key, known)
-    elif not known:  # takes other keys, too
-        hint = f"; write ++{key}=VALUE to add it"
+    elif "_target_" in known or not known:  # the class, or whatever reads it, may take other keys
+        hint = did_you_mean(name, known, cutoff=0.8) or f"; write ++{key}=VALUE to add it"
     else:
         hint = suggestion(name, known)
     option = f" in {section}={known['name']}" if section and "name" in known else ""

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
-from parking_exp.errors import ConfigError, did_you_mean, one_line, suggestion
+from parking_exp.errors import ConfigError, one_line, suggestion
 
 # Base classes of the sections' classes.
 BASES = {
@@ -48,26 +48,18 @@ SECTION_KEYS = {"algorithm": AlgorithmConfig.model_fields, "buffer": BufferConfi
 # By section, arguments that the run sets itself.
 SET_BY_RUN = {
     "algorithm": {
-        *(
-            "policy",
-            "env",
-            "seed",
-            "device",
-            "buffer_size",
-            "replay_buffer_class",
-            "replay_buffer_kwargs",
-            "n_steps",
-        ),
-        *("optimize_memory_usage", "tensorboard_log", "verbose", "_init_setup_model"),
+        "policy", "env", "seed", "device", "buffer_size", "replay_buffer_class",
+        "replay_buffer_kwargs", "n_steps", "optimize_memory_usage", "tensorboard_log", "verbose",
+        "_init_setup_model",
     },
     "buffer": {
-        *("observation_space", "action_space", "buffer_size", "env", "n_envs", "device", "reward"),
+        "observation_space", "action_space", "buffer_size", "env", "n_envs", "device", "reward",
         "optimize_memory_usage",
     },
     "algorithm.policy_kwargs": {"observation_space", "action_space", "lr_schedule", "use_sde"},
     "algorithm.policy_kwargs.optimizer_kwargs": {"params", "lr"},
     "algorithm.policy_kwargs.features_extractor_kwargs": {"observation_space"},
-}
+}  # fmt: skip
 
 
 def import_object(target: str) -> Any:
@@ -113,28 +105,6 @@ def takes(call: Any, name: str) -> bool:
     """Return whether a class or function accepts an argument."""
     parameters, is_open = _parameters(call)
     return is_open or name in parameters
-
-
-def argument_hint(key: str, node: Mapping[str, Any]) -> str:
-    """Say what to type instead of an unknown key of a node with a `_target_`, whose class may take
-    more arguments.
-    """
-    section, _, name = key.rpartition(".")
-    try:
-        parameters, is_open = _parameters(import_object(node["_target_"]))
-    except ConfigError:
-        parameters, is_open = {}, True
-    arguments = set(parameters) - SET_BY_RUN.get(section, set()) - set(node)
-    if hint := did_you_mean(name, node, cutoff=0.8):
-        return hint
-    similar = [
-        argument for argument in sorted(arguments) if did_you_mean(name, [argument], cutoff=0.8)
-    ]
-    if similar and name not in arguments:
-        return f"; did you mean '++{section}.{similar[0]}'?"
-    if name in arguments or is_open:
-        return f"; write ++{key}=VALUE to add it"
-    return suggestion(name, [*node, *arguments])
 
 
 def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator[str]:

@@ -40,36 +40,27 @@ def expand_points(
     Raises:
         ConfigError: there is no such label, no cell matches, or there are too many.
     """
-    items = [item for block in blocks for item in block.items()]
-    listed = {
-        key: {value for k, values in items if k == key for value in _values(values)}
-        for key, _ in items
-    }
-    swept = {key for key, values in items if isinstance(values, list)}
-    if blocks and (
-        unknown := [
-            label for label in axes.get("label", ()) if label not in listed.get("label", ())
-        ]
-    ):
-        hint = suggestion(unknown[0], listed.get("label", ())) or "; select cells by their keys"
-        raise ConfigError(f"label={unknown[0]}: experiment={experiment} has no such label{hint}")
+    listed = _listed_values(blocks)
+    if blocks:
+        _check_labels(axes.get("label", []), listed.get("label", set()), experiment)
+    swept = {key for block in blocks for key, value in block.items() if isinstance(value, list)}
     cells: dict[Point, None] = {}
     for block in blocks or [{}]:
         lines = []
         for key, value in block.items():
-            values, replaceable = _values(value), isinstance(value, list) or key not in swept
-            kept = [
-                v
-                for v in axes.get(key, values)
-                if v in values or (replaceable and v not in listed[key])
-            ]
-            lines.append([_override(key, v) for v in kept])
+            values = _values(value)
+            if key in axes:
+                is_replaceable = isinstance(value, list) or key not in swept
+                replacing = set(axes[key]) - listed[key] if is_replaceable else set()
+                values = [item for item in axes[key] if item in values or item in replacing]
+            lines.append([_override(key, item) for item in values])
         if not all(lines):
             continue
-        first = tuple(values[0] for values in lines)
+
+        first = tuple(overrides[0] for overrides in lines)
         for key, values in axes.items():
             if key not in block and (key not in listed or has(key, first)):
-                lines.append([_override(key, v) for v in values])
+                lines.append([_override(key, item) for item in values])
         if len(cells) + math.prod(map(len, lines)) > MAX_CELLS:
             raise ConfigError(f"a sweep has at most {MAX_CELLS} cells")
         cells |= dict.fromkeys(itertools.product(*lines))
@@ -79,53 +70,79 @@ def expand_points(
     return list(cells)
 
 
+def _listed_values(blocks: Sequence[Block]) -> dict[str, set[str]]:
+    """Return the values that blocks list for each key."""
+    listed: dict[str, set[str]] = {}
+    for block in blocks:
+        for key, value in block.items():
+            listed.setdefault(key, set()).update(_values(value))
+    return listed
+
+
+def _check_labels(given: Sequence[str], listed: set[str], experiment: str) -> None:
+    """Refuse a label that no block lists."""
+    for label in given:
+        if label not in listed:
+            hint = suggestion(label, listed) or "; select cells by their keys"
+            raise ConfigError(f"label={label}: experiment={experiment} has no such label{hint}")
+
+
 def check_blocks(value: Any) -> list[Block]:
     """Return `cells` if it is a list of mappings."""
-    if not isinstance(value or [], list) or not all(
-        isinstance(block, dict) and block for block in value or []
-    ):
+    blocks = value or []
+    if not isinstance(blocks, list) or not all(block and type(block) is dict for block in blocks):
         raise ConfigError(f"cells={value!r} is not a list of {{key: [values]}}")
-    for block in value or []:
+    for block in blocks:
         labels = block.get("label")
-        for label in labels if isinstance(labels, list) else [labels]:
+        if not isinstance(labels, list):
+            labels = [labels]
+        for label in labels:
             if not isinstance(label, str | None):  # how it was written is lost: 0.10 is 0.1
                 raise ConfigError(
                     f"cells: the label {label!r} is no text; put it in quotes, label: '...'"
                 )
-    return value or []
+    return blocks
 
 
 def seeds_of(value: object) -> list[int] | None:
-    """Return the seeds that `seeds` defines: 0 to n - 1 for n, the seeds of a list, None for the
-    run's own seed.
+    """Return the seeds that `seeds` defines.
+
+    A number n stands for 0 to n - 1, and None for the run's own seed.
     """
+    if value is None:
+        return None
     if type(value) is int and 0 < value <= MAX_SEEDS:
         return list(range(value))
-    if (
-        isinstance(value, list)
-        and value
-        and all(type(seed) is int and 0 <= seed < 2**32 for seed in value)
-    ):
+    if isinstance(value, list) and value and all(map(_is_seed, value)):
         return list(dict.fromkeys(value))
-    if value is not None:
-        raise ConfigError(
-            f"seeds={value!r} is neither a number up to {MAX_SEEDS} nor a list of seeds below "
-            f"{2**32}"
-        )
-    return None
+    raise ConfigError(
+        f"seeds={value!r} is neither a number up to {MAX_SEEDS} nor a list of seeds below {2**32}"
+    )
+
+
+def _is_seed(value: object) -> bool:
+    return type(value) is int and 0 <= value < 2**32
 
 
 def _override(key: str, value: str) -> str:
-    is_text = key.lstrip("+") == "label" and value != "null"  # others: in Hydra's syntax
-    return f"{key}={in_quotes(value) if is_text else value}"
+    """Return an override in Hydra's syntax, which only values of `label` are not in yet."""
+    if key.lstrip("+") == "label" and value != "null":
+        value = in_quotes(value)
+    return f"{key}={value}"
 
 
 def _values(value: object) -> list[str]:
-    return [yaml_text(item) for item in (value if isinstance(value, list) else [value])]
+    """Return the values that a block gives a key, in Hydra's syntax."""
+    items = value if isinstance(value, list) else [value]
+    return [yaml_text(item) for item in items]
 
 
 def yaml_text(value: object) -> str:
     """Write a scalar or a list as YAML and Hydra's command line read it."""
-    if value is None or isinstance(value, bool):
-        return "null" if value is None else str(value).lower()
-    return f"[{','.join(map(yaml_text, value))}]" if isinstance(value, list) else str(value)
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return f"[{','.join(map(yaml_text, value))}]"
+    return str(value)

@@ -11,33 +11,22 @@ from urllib.parse import unquote, urlparse
 from parking_exp.errors import ConfigError, UntrustedError
 
 SQLITE = "sqlite:///"
-DATABASES = ("postgresql", "mysql", "mssql")
 ARTIFACTS = "mlflow-artifacts"  # folder of an output directory
-WITHOUT_SECRETS = {
-    *(
-        "application_name",
-        "charset",
-        "client_encoding",
-        "connect_timeout",
-        "driver",
-        "encrypt",
-        "gssencmode",
-        "host",
-    ),
-    *(
-        "passfile",
-        "port",
-        "read_default_file",
-        "read_default_group",
-        "service",
-        "ssl_ca",
-        "ssl_cert",
-        "ssl_key",
-    ),
-    *("sslcert", "sslkey", "sslmode", "sslrootcert", "target_session_attrs", "trusted_connection"),
-    *("trustservercertificate", "unix_socket"),
-}
-"""Parameters of database drivers, in lower case, whose values are no secrets."""
+PARAMETERS = (
+    "application_name|charset|client_encoding|connect_timeout|driver|encrypt|gssencmode|host|"
+    "passfile|port|read_default_file|read_default_group|service|ssl_ca|ssl_cert|ssl_key|sslcert|"
+    "sslkey|sslmode|sslrootcert|target_session_attrs|trusted_connection|trustservercertificate|"
+    "unix_socket"
+)
+"""Parameters of database drivers whose values are no secrets."""
+WITHOUT_SECRET = re.compile(
+    rf"""sqlite:///.*
+    | [^@?#;]*
+    | (postgresql|mysql|mssql)(\+\w+)?:// ([^:@/?#;%]+@)? [^@?#;]*
+      (\?(({PARAMETERS})=[^&@;%]*(&|$))+)?
+    """,
+    re.VERBOSE | re.IGNORECASE | re.DOTALL,
+)
 
 
 def refuse_password(uri: str) -> str:
@@ -47,42 +36,12 @@ def refuse_password(uri: str) -> str:
         ConfigError: it may have one, which would be stored with the run and shown in the list of
             processes.
     """
-    if secret := None if uri.startswith(SQLITE) else _find_secret(uri):
-        variables = (
-            "PGPASSWORD, MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or "
-            "MLFLOW_TRACKING_TOKEN"
+    if not WITHOUT_SECRET.fullmatch(uri):
+        raise ConfigError(
+            "the URI contains what may be a secret; set it in the environment (PGPASSWORD, "
+            "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or MLFLOW_TRACKING_TOKEN)"
         )
-        raise ConfigError(f"the URI contains {secret}; set it in the environment ({variables})")
     return uri
-
-
-def _find_secret(uri: str) -> str | None:
-    """Name what may be secret in a URI, without its value; return None if nothing is."""
-    address, _, query = uri.partition("?")
-    for parameter in filter(None, query.split("&")):
-        name, equals, value = parameter.partition("=")
-        if name.lower() not in WITHOUT_SECRETS or re.search("[;@]|%3B", value, re.IGNORECASE):
-            return (
-                f"the parameter {name}, which may be secret"
-                if equals
-                else "a parameter, which may be secret"
-            )
-    if re.search("[;#]|%3B", address, re.IGNORECASE):
-        return "a ; or #, after which may be a secret"
-    if "@" not in address:
-        return None
-    from sqlalchemy.engine import make_url
-    from sqlalchemy.exc import ArgumentError
-
-    try:
-        url = make_url(address)
-    except (ArgumentError, ValueError):
-        return "an @, before which may be a password"
-    if url.password is not None or ":" in (url.username or "") or address.count("@") > 1:
-        return "a password"
-    if url.username is None or not url.drivername.startswith(DATABASES):
-        return "an @, before which may be a token"
-    return None
 
 
 def directory_path(text: str | Path) -> Path:

@@ -2,7 +2,6 @@
 is checked.
 """
 
-import re
 from pathlib import Path
 
 import hydra
@@ -53,7 +52,7 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("algorithm.learning_rate.ende=1e-4", "'end'"),
         (
             "algorithm.verbosity=1",
-            "algorithm.verbosity: there is no such key in algorithm=sac; choose from",
+            "algorithm.verbosity: there is no such key in algorithm=sac; write ++algorithm.verbosity=",
         ),
         ("tracking.mlfow=true", "'mlflow'"),
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs"),
@@ -64,18 +63,8 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("seed=[1", "seed=[1"),
         ("seed=choice()", "seed=choice()"),
         ("seed=interval(0,1)", "seed=interval(0,1)"),
-        ("seed=range(1,5,0)", "step"),
-        ("seed=range(1,1000000000)", "at most 100000 values"),
-        ("seed=shuffle(range(1,1000000000))", "at most 100000 values"),
-        ("seed=range(0,1,1e-12)", "at most 100000 values"),
-        ("total_timesteps=" + "9" * 5000, "total_timesteps: Exceeds the limit (4300 digits)"),
         ("label=[a]", "a label is text"),
         ("label={a:1}", "a label is text"),
-        ("hydra.run.dir=elsewhere", "output_dir=DIR"),
-        ("hydra.job.chdir=true", "output_dir=DIR"),
-        ("+hydra.job.env_set.X=1", "environment variables in the shell"),
-        ("hydra.sweeper.params={seed: '1,2'}", "cells: "),
-        ("hydra.verbose=true", "only hydra/launcher"),
         ("experiment=nowhere.yaml", "nowhere.yaml"),
     ],
 )
@@ -211,59 +200,6 @@ def test_the_launcher_of_an_experiment_file_is_used_unless_the_command_line_name
     assert composed() == ("slurm", 1)
     assert composed("hydra.launcher.n_jobs=5") == ("slurm", 5)
     assert composed("hydra/launcher=local") == ("local", 1)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (
-            "sweeper: {params: {seed: '1,2'}}",
-            "hydra.sweeper.params.seed=1,2 has no effect; list the values",
-        ),
-        (
-            "job: {chdir: true}",
-            "hydra.job.chdir=True has no effect; start the command in that directory",
-        ),
-        (
-            "job: {env_set: {X: 1}}",
-            "hydra.job.env_set.X=1 has no effect; set environment variables",
-        ),
-        ("run: {dir: elsewhere}", "hydra.run.dir=elsewhere has no effect; set output_dir=DIR"),
-    ],
-)
-def test_other_settings_of_hydra_in_a_file_are_refused(tmp_path, settings, words):
-    path = tmp_path / "mine.yaml"
-    path.write_text(f"# @package _global_\nhydra: {{{settings}}}\n")
-    with pytest.raises(ConfigError, match=rf"^{re.escape(words)}[^\n]*$"):
-        compose_configs("config", [f"experiment={path}"])
-
-
-@pytest.mark.parametrize("name", ["evaluate", "export", "report", "status"])
-def test_a_launcher_is_refused_by_commands_that_launch_nothing(name):
-    with pytest.raises(
-        ConfigError, match=r"^hydra/launcher=slurm has no effect; this command launches no runs"
-    ):
-        compose_configs(name, ["hydra/launcher=slurm"])
-
-
-def test_arguments_that_a_class_of_the_users_own_takes_are_suggested(tmp_path, monkeypatch):
-    (tmp_path / "floor_sac.py").write_text(
-        "from stable_baselines3 import SAC\n"
-        "class FloorSAC(SAC):\n"
-        "    def __init__(self, *args, entropy_floor: float = 0.0, **rest):\n"
-        "        super().__init__(*args, **rest)\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "conf" / "algorithm").mkdir(parents=True)
-    option = "defaults: [sac, _self_]\nname: floor_sac\n_target_: floor_sac.FloorSAC\n"
-    (tmp_path / "conf" / "algorithm" / "floor_sac.yaml").write_text(option)
-    for override, hint in (
-        ("algorithm.entropy_flor=2", "did you mean '++algorithm.entropy_floor'?"),
-        ("algorithm.entropy_floor=2", "write ++algorithm.entropy_floor=VALUE to add it"),
-        ("algorithm.learning_start=2", "did you mean 'learning_starts'?"),
-    ):
-        with pytest.raises(ConfigError, match=rf"{re.escape(hint)}$"):
-            compose_configs("config", ["algorithm=floor_sac", override], str(tmp_path / "conf"))
 
 
 def test_compose_takes_a_directory_of_the_users_own_options(tmp_path):
