@@ -13,10 +13,10 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import NoReturn
 
 import hydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from parking_exp.config.compose import VERSION_BASE, compose_configs, user_options
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
@@ -31,13 +31,11 @@ from parking_exp.terminal import (
     check_output,
     drop_unwritten_output,
     is_script,
-    open_standard_streams,
     program,
     say,
     unfailing_output,
 )
 
-Request = TypeVar("Request")
 Command = Callable[[list[str], str | None], None]
 """A function of the overrides and Hydra's `--config-dir`."""
 
@@ -52,7 +50,6 @@ def run_command(
         command: the function to call.
         read: turns the words of the command line into Hydra's overrides.
     """
-    open_standard_streams()
     try:
         with unfailing_output(), errors_as_sentences():
             _run(config_name, command, read)
@@ -71,23 +68,6 @@ def _run(config_name: str, command: Command, read: Callable[[list[str]], list[st
         check_output()
     else:
         command(overrides, options.config_dir)
-
-
-def for_each(
-    config_name: str, validate: Callable[[DictConfig], Request], task: Callable[[Request], object]
-) -> Command:
-    """Return a command that runs a task for each config of the overrides, after all are
-    validated.
-    """
-
-    def command(overrides: list[str], extra_config_dir: str | None) -> None:
-        requests = [
-            validate(config) for config in compose_configs(config_name, overrides, extra_config_dir)
-        ]
-        for request in requests:
-            task(request)
-
-    return command
 
 
 def rename_experiment(words: list[str]) -> list[str]:
@@ -150,9 +130,8 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--help", "-h", action="store_true")
     parser.add_argument("--cfg", "-c", choices=["job"])
-    parser.add_argument(
-        "--multirun", "-m", action="store_true"
-    )  # not needed: several values make a sweep
+    # `--multirun` is not needed: several values make a sweep.
+    parser.add_argument("--multirun", "-m", action="store_true")
     parser.add_argument("--config-dir", "-cd")
     try:
         options, words = parser.parse_known_args(arguments)
@@ -164,9 +143,9 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
 
 
 def _as_override(word: str) -> str:
-    key, equals, value = word.partition("=")
-    return (
-        f"{key[2:].replace('-', '_')}={value if equals else 'true'}"
-        if word.startswith("--")
-        else word
-    )
+    if not word.startswith("--"):
+        return word
+    key, equals, value = word.removeprefix("--").partition("=")
+    if not equals:
+        value = "true"
+    return f"{key.replace('-', '_')}={value}"

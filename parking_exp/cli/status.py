@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 from rich.console import Console
 
-from parking_exp.cli.command import for_each, rename_experiment, run_command
+from parking_exp.cli.command import rename_experiment, run_command
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import absolute, default_uri, is_same_store
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
@@ -32,9 +33,7 @@ WATCH_S = 2.0
 
 def main() -> None:
     """Run the command."""
-    run_command(
-        "status", for_each("status", partial(parse, StatusRequest), show), rename_experiment
-    )
+    run_command("status", show_status, rename_experiment)
 
 
 class StatusRequest(OutputConfig):
@@ -46,6 +45,13 @@ class StatusRequest(OutputConfig):
     sync: bool
     prune: Literal["pending"] | None
     tracking: StoreConfig
+
+
+def show_status(overrides: list[str], extra_config_dir: str | None) -> None:
+    """Print the progress of runs for each config of the overrides."""
+    configs = compose_configs("status", overrides, extra_config_dir)
+    for request in [parse(StatusRequest, config) for config in configs]:
+        show(request)
 
 
 def show(request: StatusRequest) -> None:

@@ -24,7 +24,7 @@ from omegaconf.errors import (
 )
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.grid import MAX_RUNS, Point, check_blocks, expand_points, seeds_of
+from parking_exp.config.grid import MAX_RUNS, Block, Point, check_blocks, expand_points, seeds_of
 from parking_exp.config.overrides import (
     axes_of,
     config_dir,
@@ -62,11 +62,9 @@ class ComposedRun:
     @property
     def config(self) -> DictConfig:
         """The config of the run."""
-        return (
-            self.cell
-            if self.seed is None
-            else cast(DictConfig, OmegaConf.merge(self.cell, {"seed": self.seed}))
-        )
+        if self.seed is None:
+            return self.cell
+        return cast(DictConfig, OmegaConf.merge(self.cell, {"seed": self.seed}))
 
     def with_values(self, values: Mapping[str, Any]) -> "ComposedRun":
         """Return a copy with other values of keys, in 3 ms, where Hydra takes 0.1 to 0.3 s; `+KEY`
@@ -91,11 +89,12 @@ def compose(*overrides: str, config_dir: str | Path | None = None) -> RunConfig:
         ConfigError: an override is wrong, the overrides define several runs, or there is no such
             directory.
     """
-    if config_dir is not None and not Path(config_dir).is_dir():
-        raise ConfigError(f"config_dir={config_dir} is not a directory")
-    runs = compose_configs(
-        "config", list(overrides), None if config_dir is None else str(config_dir)
-    )
+    extra_config_dir = None
+    if config_dir is not None:
+        if not Path(config_dir).is_dir():
+            raise ConfigError(f"config_dir={config_dir} is not a directory")
+        extra_config_dir = str(config_dir)
+    runs = compose_configs("config", list(overrides), extra_config_dir)
     if len(runs) > 1:
         raise ConfigError(
             f"these overrides define {len(runs)} runs, but compose() returns one; give one value "
@@ -131,11 +130,10 @@ def compose_runs(
         experiments = axes.pop("experiment", None)
         if experiments is None:
             return _runs(compose_point, axes)
-        return [
-            run
-            for name in experiments
-            for run in _runs(compose_point, {"experiment": [name], **axes})
-        ]
+        runs = []
+        for name in experiments:
+            runs += _runs(compose_point, {"experiment": [name], **axes})
+        return runs
 
 
 def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], ComposedRun]:
@@ -161,15 +159,12 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
 
     def compose_point(lines: Point) -> ComposedRun:
         options = [line for line in lines if line.partition("=")[0] in groups and "={" not in line]
-        changes = parse_overrides(line for line in lines if line not in options)
-        if any(
-            change.type is not OverrideType.CHANGE or change.package is not None
-            for change in changes
-        ):
-            return compose_with_hydra(*lines).with_values({})
-        return compose_with_hydra(*options).with_values(
-            {change.key_or_group: change.value() for change in changes}
-        )
+        values = {}
+        for change in parse_overrides(line for line in lines if line not in options):
+            if change.type is not OverrideType.CHANGE or change.package is not None:
+                return compose_with_hydra(*lines).with_values({})
+            values[change.key_or_group] = change.value()
+        return compose_with_hydra(*options).with_values(values)
 
     return compose_point
 
@@ -178,24 +173,21 @@ def _runs(
     compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[str]]
 ) -> list[ComposedRun]:
     """Compose every cell of an experiment with its first seed, then with its second, and so on."""
-    base = compose_point(
-        tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)
-    ).cell
+    experiment = [f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes]
+    base = compose_point(tuple(experiment)).cell
     if "seeds" in axes and "seeds" not in base:
         raise ConfigError("seeds: there is no such key; leave it out, this command takes no seeds")
-    blocks = (
-        check_blocks(_container(base.cells)) if "seeds" in base else []
-    )  # a report's cells are labels
-    seed_values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
-    overriding = seed_values[0] if len(seed_values) == 1 else seed_values
-    seeds = seeds_of(overriding if seed_values else _container(base.get("seeds")))
+    blocks: list[Block] = []
+    if "seeds" in base:  # a report's cells are labels
+        blocks = check_blocks(_container(base.cells))
+
+    seeds = _pop_seeds(axes, _container(base.get("seeds")))
     is_swept = any("seed" in block for block in blocks)
     if "seed" in axes or is_swept:
         seeds = None
     if len(axes.get("seed", [])) > 1 and not is_swept and all(map(str.isdecimal, axes["seed"])):
-        seeds = seeds_of(
-            [int(seed) for seed in axes.pop("seed")]
-        )  # a cell is composed once for all its seeds
+        # A cell is composed once for all its seeds.
+        seeds = seeds_of([int(seed) for seed in axes.pop("seed")])
 
     def has(key: str, point: Point) -> bool:
         section, _, name = key.rpartition(".")
@@ -208,10 +200,23 @@ def _runs(
         raise ConfigError(
             f"{len(all_points)} cells x {len(all_seeds)} seeds: a sweep has at most {MAX_RUNS} runs"
         )
-    cells = {
-        OmegaConf.to_yaml(run.cell): run for run in map(compose_point, all_points)
-    }  # blocks may overlap
-    return [replace(run, seed=seed) for seed in all_seeds for run in cells.values()]
+    cells: dict[str, ComposedRun] = {}
+    for point in all_points:
+        run = compose_point(point)
+        cells[OmegaConf.to_yaml(run.cell)] = run  # blocks may overlap
+
+    runs = []
+    for seed in all_seeds:
+        runs += [replace(run, seed=seed) for run in cells.values()]
+    return runs
+
+
+def _pop_seeds(axes: dict[str, list[str]], default: Any) -> list[int] | None:
+    """Remove `seeds` from the axes, and return the seeds that it, or else the config, defines."""
+    values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
+    if not values:
+        return seeds_of(default)
+    return seeds_of(values[0] if len(values) == 1 else values)
 
 
 def _container(node: object) -> Any:
@@ -241,9 +246,8 @@ def hydra_ready() -> Iterator[None]:
     """Initialize Hydra with our tree; errors of Hydra and OmegaConf become a ConfigError of one
     sentence.
     """
-    outer = (
-        GlobalHydra.instance().hydra
-    )  # we may be called within a Hydra app, such as a benchmark or a user's own
+    # We may be called within a Hydra app, such as a benchmark or a user's own.
+    outer = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
     try:
         with (
@@ -284,7 +288,9 @@ def _sentence(error: Exception) -> str:
 
 def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     """Name an unknown key, and the closest one of its section."""
-    key, name, known = str(error.full_key), str(error.key), _container(error.parent_node)
+    key = str(error.full_key)
+    name = str(error.key)
+    known = _container(error.parent_node)
     section = key.rpartition(".")[0]
     if not isinstance(known, dict):
         return f"{key}: {section} has no keys"

@@ -108,35 +108,52 @@ def takes(call: Any, name: str) -> bool:
 
 
 def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator[str]:
-    """Check `policy_kwargs` against the policy's own constructor."""
-    key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
-    features, policy = algorithm.features, policy_class(algorithm_class)
-    if "net_arch" in given and not isinstance(
-        given["net_arch"], Mapping
-    ):  # a mapping sets actor and critic apart
+    """Check the features, and `policy_kwargs` against the policy's own constructor."""
+    key = "algorithm.policy_kwargs"
+    given = algorithm.arguments.get("policy_kwargs") or {}
+    policy = policy_class(algorithm_class)
+    net_arch = given.get("net_arch", {})
+    if not isinstance(net_arch, Mapping):  # a mapping sets actor and critic apart
         yield f"{key}.net_arch overrides algorithm.net_arch; set algorithm.net_arch instead"
-    elif features != "raw" and (
-        extractor := [name for name in given if name.startswith("features_extractor")]
-    ):
-        yield f"{key}.{extractor[0]} overrides algorithm.features; set algorithm.features=raw"
-    elif features != "raw" and policy is not None and not takes(policy, "features_extractor_class"):
-        yield f"algorithm.features={features}: {algorithm.class_name}'s policy ignores it; use raw"
-    elif features == "ego_mirrored" and policy not in map(import_object, MIRRORED_POLICIES):
-        yield (
-            f"algorithm.features={features}: {algorithm.class_name}'s policy can't mirror its "
-            "steering; use ego_fine"
-        )
-    elif policy is not None:
-        problems = list(_check_call(key, policy, given))
-        yield from problems
-        for name, default in DEFAULT_CLASSES.items() if not problems else ():
-            arguments, target = (
-                given.get(f"{name}_kwargs") or {},
-                class_path(given.get(f"{name}_class", default)),
+        return
+
+    problem = None
+    if algorithm.features != "raw":
+        problem = _features_problem(algorithm, policy, given)
+    if problem is not None:
+        yield problem
+        return
+
+    if policy is None:
+        return
+    problems = list(_check_call(key, policy, given))
+    yield from problems
+    if problems:
+        return
+    for name, default in DEFAULT_CLASSES.items():
+        arguments = given.get(f"{name}_kwargs") or {}
+        target = class_path(given.get(f"{name}_class", default))
+        node = {**arguments, "_target_": target}
+        yield from _check_target(f"{key}.{name}_kwargs", node, partial=True)
+
+
+def _features_problem(
+    algorithm: AlgorithmConfig, policy: type | None, given: Mapping[str, Any]
+) -> str | None:
+    """Say why a policy with these arguments can't have the features, which are not raw."""
+    chosen = f"algorithm.features={algorithm.features}: {algorithm.class_name}'s policy"
+    for name in given:
+        if name.startswith("features_extractor"):
+            return (
+                f"algorithm.policy_kwargs.{name} overrides algorithm.features; "
+                "set algorithm.features=raw"
             )
-            yield from _check_target(
-                f"{key}.{name}_kwargs", {**arguments, "_target_": target}, partial=True
-            )
+    if policy is not None and not takes(policy, "features_extractor_class"):
+        return f"{chosen} ignores it; use raw"
+    is_mirrored = algorithm.features == "ego_mirrored"
+    if is_mirrored and policy not in map(import_object, MIRRORED_POLICIES):
+        return f"{chosen} can't mirror its steering; use ego_fine"
+    return None
 
 
 def _check_target(
@@ -150,8 +167,7 @@ def _check_target(
     if isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
     if given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
-        known = {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in given}
-        yield from _check_parameters(key, target.rpartition(".")[2], known, given)
+        yield from _check_parameters(key, target.rpartition(".")[2], {}, given, is_open=True)
         return
     assignment = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
@@ -189,48 +205,46 @@ def _check_parameters(
     """Check arguments against parameters; an `is_open` call takes others, too."""
     set_by_run = SET_BY_RUN.get(key, set())
     limits = CLASS_LIMITS.get(class_name, LIMITS)
-    settable = {name: parameter for name, parameter in parameters.items() if name not in set_by_run}
+    settable = dict(parameters)
+    for name in set_by_run:
+        settable.pop(name, None)
     for name, value in given.items():
         path = f"{key}.{name}"
+        is_class = name in CLASS_ARGUMENTS
+        is_target = isinstance(class_path(value), str)
         if name in set_by_run:
             yield f"{path} is set by the run itself"
         elif name not in settable and not is_open:
-            yield (
-                f"{path}: there is no such "
-                f"key{suggestion(name, [*settable, *SECTION_KEYS.get(key, ())])}"
-            )
-        elif (
-            name in CLASS_ARGUMENTS and value is not None and not isinstance(class_path(value), str)
-        ):
+            known = [*settable, *SECTION_KEYS.get(key, ())]
+            yield f"{path}: there is no such key{suggestion(name, known)}"
+        elif is_class and value is not None and not is_target:
             yield f"{path}={value!r} is not a class; give a dotted path or a node with a _target_"
-        elif isinstance(class_path(value), str) and (
-            name in CLASS_ARGUMENTS or isinstance(value, Mapping)
-        ):
-            yield from _check_target(
-                path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS
-            )
-        elif name in settable:
-            yield from _check_value(path, value, settable[name], limits)
-    if not partial:
-        required = (
-            name
-            for name, parameter in settable.items()
-            if parameter.default is inspect.Parameter.empty
-        )
-        yield from (f"{key}.{name} is missing" for name in required if name not in given)
+        elif is_target and (is_class or isinstance(value, Mapping)):
+            yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=is_class)
+        elif name in settable or name in limits:  # a class that takes others passes them on
+            yield from _check_value(path, name, value, settable.get(name), limits)
+    if partial:
+        return
+    for name, parameter in settable.items():
+        if parameter.default is inspect.Parameter.empty and name not in given:
+            yield f"{key}.{name} is missing"
 
 
 def _check_value(
-    key: str, value: Any, parameter: inspect.Parameter, limits: Mapping[str, Any]
+    key: str,
+    name: str,
+    value: Any,
+    parameter: inspect.Parameter | None,
+    limits: Mapping[str, Any],
 ) -> Iterator[str]:
     """Check a value against its range, or else its annotation where that is a plain type."""
-    annotation = parameter.annotation
+    annotation = Any if parameter is None else parameter.annotation
     is_literal = get_origin(annotation) is Literal
     types = {annotation} if is_literal else set(get_args(annotation)) or {annotation}
-    is_plain = all(part in PLAIN_TYPES or get_origin(part) is Literal for part in types)
-    limit = limits.get(parameter.name, annotation if is_plain else Any)
-    if value is None and (NoneType in types or parameter.name in NULLABLE):
+    if value is None and (NoneType in types or name in NULLABLE):
         return
+    is_plain = all(part in PLAIN_TYPES or get_origin(part) is Literal for part in types)
+    limit = limits.get(name, annotation if is_plain else Any)
     try:
         TypeAdapter(limit, config=STRICT).validate_python(value)
     except ValidationError as error:
@@ -241,30 +255,12 @@ def _check_value(
 
 
 def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
-    """Return the named parameters of a class or function, and whether it takes any others.
-
-    A class that takes others probably passes them on, so that those of its base classes are named
-    as well.
-    """
-    parameters, is_open = _signature(call)
-    is_passed_on = is_open and isinstance(call, type)
-    for base in call.__mro__[1:] if is_passed_on else ():
-        inherited, passes_on = _signature(base)
-        for name, parameter in inherited.items():
-            parameters.setdefault(
-                name, parameter.replace(default=None)
-            )  # which the class itself may give
-        if not passes_on:
-            break
-    return parameters, is_open
-
-
-def _signature(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
+    """Return the named parameters of a class or function, and whether it takes any others."""
     try:
-        parameters = inspect.signature(call).parameters
+        parameters = inspect.signature(call).parameters.values()
     except (TypeError, ValueError):  # compiled, without a signature
         return {}, True
-    named = {
-        name: p for name, p in parameters.items() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)
-    }
-    return named, any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    unnamed = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    named = {parameter.name: parameter for parameter in parameters if parameter.kind not in unnamed}
+    is_open = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters)
+    return named, is_open
