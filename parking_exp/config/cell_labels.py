@@ -153,53 +153,53 @@ def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple
     labels: dict[tuple[str, str], str] = {}
     for experiment in dict.fromkeys(experiment for experiment, _ in configs):
         cells = [key for key in configs if key[0] == experiment]
-        labels |= zip(
-            cells,
-            label_cells([configs[key] for key in cells], [cell for _, cell in cells]),
-            strict=True,
-        )
+        names = [cell for _, cell in cells]
+        texts = label_cells([configs[key] for key in cells], names)
+        labels |= zip(cells, texts, strict=True)
     return labels
 
 
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
-    """Return the labels of an experiment's cells; a single one without a label has its algorithm
-    and buffer.
+    """Return the labels of an experiment's cells.
+
+    A single cell without a label of its own is called by its algorithm and buffer.
     """
-    if len(configs) == 1:
-        options = [
-            str(configs[0][f"{group}.name"])
-            for group in GROUPS[1:]
-            if f"{group}.name" in configs[0]
-        ]
-        return [str(configs[0].get(LABEL) or ", ".join(options) or names[0])]
-    return labels_from_factors(*find_factors(configs, [""] * len(configs)), names)
+    if len(configs) > 1:
+        factors, settings = find_factors(configs, [""] * len(configs))
+        return labels_from_factors(factors, settings, names)
+    (config,) = configs
+    options = [config.get(f"{group}.name") for group in ("algorithm", "buffer")]
+    text = ", ".join(str(option) for option in options if option is not None)
+    return [str(config.get(LABEL) or text or names[0])]
 
 
 def labels_from_factors(
     factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]], names: Sequence[str]
 ) -> list[str]:
-    """Return labels such as `her_final, n_sampled_goal=8`; equal ones get the key at the end of the
-    cell's name.
+    """Return unique labels such as `her_final, n_sampled_goal=8`.
+
+    Equal ones get the key at the end of the cell's name.
     """
-    labels = [label_factors(factors, cell) for cell in settings]
-    parts = [name.rpartition("-") for name in names]
-    return [
-        label if label and labels.count(label) == 1 else f"{label or option} ({key})"
-        for label, (option, _, key) in zip(labels, parts, strict=True)
-    ]
+    texts = [label_factors(factors, cell) for cell in settings]
+    labels = []
+    for text, name in zip(texts, names, strict=True):
+        option, _, key = name.rpartition("-")
+        is_unique = text != "" and texts.count(text) == 1
+        labels.append(text if is_unique else f"{text or option} ({key})")
+    return labels
 
 
 def label_factors(factors: Sequence[Factor], cell: Mapping[str, Setting]) -> str:
-    """Return the values of a cell's factors, e.g. `her_final, n_sampled_goal=8`; groups have no
-    prefix.
-    """
-    prefixes = {
-        factor.key: "" if factor.key in (*GROUPS, EXPERIMENT, LABEL) else f"{factor.name}="
-        for factor in factors
-    }
-    return ", ".join(
-        prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None
-    )
+    """Return the values of a cell's factors, e.g. `her_final, n_sampled_goal=8`."""
+    parts = []
+    for factor in factors:
+        value = cell[factor.key]
+        if value is None:
+            continue
+        is_option = factor.key in (*GROUPS, EXPERIMENT, LABEL)
+        prefix = "" if is_option else f"{factor.name}="
+        parts.append(prefix + setting(value))
+    return ", ".join(parts)
 
 
 def setting(value: Any) -> str:
@@ -214,20 +214,26 @@ def hashable(value: Setting) -> Hashable:
 
 def _factor(key: str, values: Sequence[Setting], keys: Collection[str]) -> Factor:
     """Return the factor of a key, named by the shortest ending of it that is unique among keys."""
-    levels: list[Any] = list(
-        {hashable(value): value for value in values if value is not None}.values()
-    )
-    numeric = bool(levels) and all(
-        isinstance(v, int | float) and not isinstance(v, bool) for v in levels
-    )
+    distinct = {hashable(value): value for value in values if value is not None}
+    levels: list[Any] = list(distinct.values())
+    numbers = [
+        level for level in levels if isinstance(level, int | float) and not isinstance(level, bool)
+    ]
+    numeric = bool(levels) and len(numbers) == len(levels)
     if numeric:
         levels.sort()
+    return Factor(key, _short_name(key, keys), levels, numeric)
+
+
+def _short_name(key: str, keys: Collection[str]) -> str:
+    """Return the shortest ending of a key that is unique among keys, or else the key."""
     parts = key.split(".")
-    endings = (".".join(parts[start:]) for start in reversed(range(len(parts))))
-    name = next(
-        (e for e in endings if sum(f".{other}".endswith(f".{e}") for other in keys) == 1), key
-    )
-    return Factor(key, name, levels, numeric)
+    for n_parts in range(1, len(parts)):
+        ending = ".".join(parts[-n_parts:])
+        having = [other for other in keys if f".{other}".endswith(f".{ending}")]
+        if len(having) == 1:
+            return ending
+    return key
 
 
 def _follows(values: Sequence[Setting], column: Sequence[Setting]) -> bool:

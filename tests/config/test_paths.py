@@ -30,15 +30,20 @@ from parking_exp.errors import ConfigError
         "databricks://token:s3cret@host",
     ],
 )
-def test_a_uri_that_may_contain_a_secret_is_refused_without_showing_it(uri, tmp_path):
+def test_a_uri_that_may_contain_a_secret_is_refused_without_showing_it(uri):
     with pytest.raises(ConfigError, match="set it in the environment") as refusal:
         refuse_password(uri)
     assert "s3cret" not in str(refusal.value)
+
+
+def test_a_command_with_a_secret_in_its_uri_is_refused_before_anything_is_written(tmp_path):
+    uri = "postgresql://me:s3cret@host/db"
     done = call_script(
         "train", "experiment=smoke", f"tracking.uri='{uri}'", f"output_dir={tmp_path / 'outputs'}"
     )
     assert done.returncode == 2
     assert done.stderr.startswith("error: tracking.uri: the URI contains ")
+    assert "s3cret" not in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
