@@ -1,5 +1,4 @@
-"""Policies of SAC and TD3 for tasks with a mirror symmetry: their networks see one of two mirror
-images.
+"""Policies of SAC and TD3 whose networks see one of two mirror images of a scene.
 
 The env's actions are not mirrored: an actor's output is mirrored after its network, a critic's
 action before it.
@@ -12,6 +11,7 @@ from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 from stable_baselines3.td3 import policies as td3
+from torch import nn
 
 from parking_exp.tasks.feature_extractors import SymmetricFeatures
 
@@ -36,9 +36,7 @@ class MirroredGaussianActor(sac.Actor):
         return self.features_extractor.mirror(super().forward(obs, deterministic), obs)
 
     def action_log_prob(self, obs: Any) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return sampled actions, shape (batch, actions), and their log probabilities, shape
-        (batch,).
-        """
+        """Return sampled actions, shape (batch, actions), and their log probabilities."""
         actions, log_prob = super().action_log_prob(obs)
         return self.features_extractor.mirror(actions, obs), log_prob
 
@@ -57,36 +55,30 @@ class MirroredCritic(ContinuousCritic):
         return super().q1_forward(obs, self.features_extractor.mirror(actions, obs))
 
 
-class _MirroredCritics:
-    """Mixin of policies: their critics are mirrored."""
+class _MirroredPolicy:
+    """Mixin of policies: their actors and critics are mirrored."""
 
-    def make_critic(
-        self: Any, features_extractor: BaseFeaturesExtractor | None = None
-    ) -> MirroredCritic:
-        return MirroredCritic(
-            **self._update_features_extractor(self.critic_kwargs, features_extractor)
-        ).to(self.device)
+    actor_class: type[nn.Module]
+
+    def make_actor(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
+        arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        return self.actor_class(**arguments).to(self.device)
+
+    def make_critic(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
+        arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        return MirroredCritic(**arguments).to(self.device)
 
 
-class MirroredTD3Policy(_MirroredCritics, td3.MultiInputPolicy):
+class MirroredTD3Policy(_MirroredPolicy, td3.MultiInputPolicy):
     """TD3's and DDPG's policy for Dict observations, mirrored."""
 
-    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> MirroredActor:
-        """Return an actor with weights of its own."""
-        return MirroredActor(
-            **self._update_features_extractor(self.actor_kwargs, features_extractor)
-        ).to(self.device)
+    actor_class = MirroredActor
 
 
-class MirroredSACPolicy(_MirroredCritics, sac.MultiInputPolicy):
+class MirroredSACPolicy(_MirroredPolicy, sac.MultiInputPolicy):
     """SAC's policy for Dict observations, mirrored."""
 
-    def make_actor(
-        self, features_extractor: BaseFeaturesExtractor | None = None
-    ) -> MirroredGaussianActor:
-        """Return an actor with weights of its own."""
-        arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return MirroredGaussianActor(**arguments).to(self.device)
+    actor_class = MirroredGaussianActor
 
 
 MIRRORED: dict[type | None, type] = {

@@ -16,56 +16,54 @@ from torch import nn
 
 from parking_exp.tasks.feature_extractors import TaskFeatures
 
-MIN_STD, CLIP = 1e-2, 5.0  # of the paper's implementation: clipped to five standard deviations
+MIN_STD = 1e-2
+CLIP = 5.0  # standard deviations, as in the paper's implementation
 KINDS = {"observation": "observation", "achieved_goal": "goal", "desired_goal": "goal"}
 
 
-def entry_kinds(space: spaces.Dict) -> dict[str, str]:
-    """Return the entries of an observation and the names of their statistics, further entries
-    last.
-    """
-    others = [key for key in space.spaces if key not in KINDS]
-    return {**KINDS, **{key: f"entry_{number}" for number, key in enumerate(others)}}
-
-
 class Normalizer(nn.Module):
-    """Means and standard deviations of what the training envs have shown; saved with the policy
-    that has it.
+    """Means and standard deviations of what the training envs have shown.
+
+    They are saved with the policy.
+
+    Attributes:
+        kinds: entries of an observation, and the names of their statistics.
     """
 
     def __init__(self, space: spaces.Dict) -> None:
         super().__init__()
-        self.kinds = entry_kinds(space)
+        others = [key for key in space.spaces if key not in KINDS]
+        self.kinds = KINDS | {key: f"entry_{number}" for number, key in enumerate(others)}
         for key, kind in self.kinds.items():
             size = spaces.flatdim(space[key])
-            for name in ("sum", "squares"):
-                self.register_buffer(f"{kind}_{name}", torch.zeros(size, dtype=torch.float64))
+            self.register_buffer(f"{kind}_sum", torch.zeros(size, dtype=torch.float64))
+            self.register_buffer(f"{kind}_squares", torch.zeros(size, dtype=torch.float64))
             self.register_buffer(f"{kind}_count", torch.zeros((), dtype=torch.float64))
 
     def update(self, observations: Mapping[str, np.ndarray]) -> None:
         """Add observations, each entry of shape (n, ...)."""
         for key, kind in self.kinds.items():
-            count = self.get_buffer(f"{kind}_count")
-            values = torch.as_tensor(
-                observations[key], dtype=torch.float64, device=count.device
-            ).flatten(1)
+            count, total, squares = self._statistics(kind)
+            values = torch.as_tensor(observations[key], dtype=torch.float64, device=count.device)
+            values = values.flatten(1)
             count.add_(len(values))
-            self.get_buffer(f"{kind}_sum").add_(values.sum(0))
-            self.get_buffer(f"{kind}_squares").add_((values**2).sum(0))
+            total.add_(values.sum(0))
+            squares.add_((values**2).sum(0))
 
     def forward(self, key: str, values: torch.Tensor) -> torch.Tensor:
-        """Return an entry, shape (batch, size), in standard deviations from the mean; unscaled
-        before any update.
+        """Return an entry, shape (batch, size), in standard deviations from the mean.
+
+        It is unscaled before any update.
         """
-        kind = self.kinds[key]
-        count, total, squares = (
-            self.get_buffer(f"{kind}_{name}") for name in ("count", "sum", "squares")
-        )
+        count, total, squares = self._statistics(self.kinds[key])
         known = torch.clamp(count, min=1.0)
         mean = total / known
         deviation = torch.sqrt(torch.clamp(squares / known - mean**2, min=MIN_STD**2))
         deviation = torch.where(count > 0, deviation, torch.ones_like(deviation))
         return ((values - mean) / deviation).clamp(-CLIP, CLIP).float()
+
+    def _statistics(self, kind: str) -> list[torch.Tensor]:
+        return [self.get_buffer(f"{kind}_{name}") for name in ("count", "sum", "squares")]
 
 
 class NormalizedExtractor(TaskFeatures):
@@ -77,24 +75,19 @@ class NormalizedExtractor(TaskFeatures):
     """
 
     def __init__(self, observation_space: spaces.Dict, normalizer: Normalizer) -> None:
-        super().__init__(
-            observation_space,
-            sum(spaces.flatdim(observation_space[key]) for key in normalizer.kinds),
-        )
+        super().__init__(observation_space, spaces.flatdim(observation_space))
         self.normalizer = normalizer
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, size of all entries)."""
-        return torch.cat(
-            [self.normalizer(key, observations[key].flatten(1)) for key in self.normalizer.kinds],
-            dim=1,
-        )
+        entries = []
+        for key in self.normalizer.kinds:
+            entries.append(self.normalizer(key, observations[key].flatten(1)))
+        return torch.cat(entries, dim=1)
 
 
 class UpdateNormalizer(BaseCallback):
-    """Add each step of the training envs to the statistics of a model's normalizer, if it has
-    one.
-    """
+    """Add each step of the training envs to the statistics of a model's normalizer, if any."""
 
     def _on_step(self) -> bool:
         extractor = getattr(self.model.policy.actor, "features_extractor", None)

@@ -1,6 +1,4 @@
-"""Exponential moving average (EMA) of an actor's weights: steadier than the actor that is
-trained.
-"""
+"""Exponential moving average (EMA) of an actor's weights, steadier than the trained actor."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -8,8 +6,6 @@ from contextlib import contextmanager
 import numpy as np
 import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-
-ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
 
 
 class PolicyEMA:
@@ -24,25 +20,20 @@ class PolicyEMA:
     """
 
     def __init__(self, model: OffPolicyAlgorithm, half_life: float | None) -> None:
-        self.model, self.half_life = model, half_life
-        weights = model.policy.state_dict().items()
-        self._names = [
-            name
-            for name, weight in weights
-            if name.startswith(ACTOR) and weight.is_floating_point()
-        ]
+        self.model = model
+        self.half_life = half_life
         self._weights: list[torch.Tensor] = []
         self._updates = 0
 
     def update(self) -> None:
         """Include the updates that the model has made since the last call."""
-        if self.half_life is None or (new := self.model._n_updates - self._updates) <= 0:
+        new = self.model._n_updates - self._updates
+        if self.half_life is None or new <= 0:
             return
-        if self._weights:
-            for average, trained in zip(self._weights, self._actor(), strict=True):
-                average.lerp_(trained, 1 - 0.5 ** (new / self.half_life))
-        else:
+        if not self._weights:
             self._weights = [weight.clone() for weight in self._actor()]
+        for average, trained in zip(self._weights, self._actor(), strict=True):
+            average.lerp_(trained, 1 - 0.5 ** (new / self.half_life))
         self._updates = self.model._n_updates
 
     @contextmanager
@@ -67,8 +58,8 @@ class PolicyEMA:
         self._updates = self.model._n_updates
 
     def _actor(self) -> list[torch.Tensor]:
-        weights = self.model.policy.state_dict()
-        return [weights[name] for name in self._names]
+        weights = self.model.policy.get_submodule("actor").state_dict().values()
+        return [weight for weight in weights if weight.is_floating_point()]
 
     def _set_actor(self, weights: Sequence[torch.Tensor]) -> None:
         for actor, weight in zip(self._actor(), weights, strict=True):

@@ -39,10 +39,8 @@ class PolicyModule(torch.nn.Module):
         low = torch.as_tensor(self.policy.action_space.low)
         high = torch.as_tensor(self.policy.action_space.high)
         observation = dict(zip(self.policy.observation_space.keys(), entries, strict=True))
-        actions = self.policy(observation, deterministic=True)
-        if self.policy.squash_output:
-            return low + 0.5 * (actions + 1.0) * (high - low)
-        return torch.clamp(actions, low, high)
+        actions = self.policy(observation, deterministic=True)  # in [-1, 1]
+        return low + 0.5 * (actions + 1.0) * (high - low)
 
 
 def export_onnx(model: OffPolicyAlgorithm) -> bytes:

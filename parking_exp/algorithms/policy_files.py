@@ -10,8 +10,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from parking_exp.algorithms.policy_ema import ACTOR
 from parking_exp.errors import ModelError, one_line
+
+ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
 
 
 def export_safetensors(model: OffPolicyAlgorithm) -> bytes:
@@ -20,7 +21,7 @@ def export_safetensors(model: OffPolicyAlgorithm) -> bytes:
     for name, weight in model.policy.state_dict().items():
         if name.startswith(ACTOR):
             weights[name] = weight.contiguous()
-    return save(weights, metadata={"format": "pt", **_classes(model)})
+    return save(weights, metadata=_metadata(model))
 
 
 def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -32,24 +33,24 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
     weights = {}
     try:
         with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
+            metadata = file.metadata()
             for name in file.keys():  # noqa: SIM118 (it has no items)
                 weights[name.removeprefix(ACTOR)] = file.get_tensor(name)
     except SafetensorError as error:
         raise ModelError(f"{path} is damaged ({error})") from error
 
-    for part, name in _classes(model).items():
-        if metadata.get(part) != name:
-            raise ModelError(
-                f"{path} has the weights of another policy: its {part} is {metadata.get(part)}, "
-                f"not {name}"
-            )
+    if metadata != _metadata(model):
+        raise ModelError(f"{path} is of another policy: {metadata}, not {_metadata(model)}")
     try:
         model.policy.get_submodule("actor").load_state_dict(weights)
     except RuntimeError as error:
         raise ModelError(f"{path} does not fit: {one_line(error)}") from error
 
 
-def _classes(model: OffPolicyAlgorithm) -> dict[str, str]:
+def _metadata(model: OffPolicyAlgorithm) -> dict[str, str]:
     features = model.policy.get_submodule("actor.features_extractor")
-    return {"policy": type(model.policy).__name__, "features extractor": type(features).__name__}
+    return {
+        "format": "pt",
+        "policy": type(model.policy).__name__,
+        "features extractor": type(features).__name__,
+    }

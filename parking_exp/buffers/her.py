@@ -75,7 +75,11 @@ class HerBuffer(DictReplayBuffer):
         self.relabel_collision = relabel_collision
         self.relabel_terminated = relabel_terminated
         self.goal_velocity = goal_velocity
-        self._make_empty()
+        self.sampled = [0, 0]  # real transitions, virtual ones
+        self._info_keys = reward.info_keys
+        n_info = len(self._info_keys)
+        self.storage = Storage(self.buffer_size, n_envs, observation_space, action_space, n_info)
+        self.episodes = self.storage.episodes
         # The model's seed has seeded NumPy's global generator by now.
         self.rng = np.random.default_rng(np.random.randint(2**32, size=4))
 
@@ -84,11 +88,6 @@ class HerBuffer(DictReplayBuffer):
         """Fraction of real transitions among all sampled so far; None before the first."""
         real, virtual = self.sampled
         return real / (real + virtual) if real else None
-
-    def reset(self) -> None:
-        """Forget all transitions."""
-        super().reset()
-        self._make_empty()
 
     def add(  # type: ignore[override]
         self,
@@ -109,8 +108,6 @@ class HerBuffer(DictReplayBuffer):
             infos: of the envs; the reward's `failure_key` and `info_keys`, and
                 `TimeLimit.truncated` are read.
         """
-        obs = self.storage.cast(obs)
-        next_obs = self.storage.cast(next_obs)
         for env in np.flatnonzero(self.episodes.current == NO_EPISODE).tolist():
             self.episodes.start(env, obs["desired_goal"][env])
         self.episodes.overwrite(self.storage.record_ids(self.pos))
@@ -182,18 +179,6 @@ class HerBuffer(DictReplayBuffer):
         self.rng.bit_generator.state = json.loads(state["rng"].tobytes())
         self.storage.set_state(state)
         self._update_position()
-
-    def _make_empty(self) -> None:
-        self._info_keys = self.reward.info_keys
-        self.storage = Storage(
-            self.buffer_size,
-            self.n_envs,
-            self.observation_space,
-            self.action_space,
-            len(self._info_keys),
-        )
-        self.episodes = self.storage.episodes
-        self.sampled = [0, 0]  # real transitions, virtual ones
 
     def _update_position(self) -> None:
         self.pos = self.episodes.steps % self.buffer_size

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.preprocessing import get_action_dim, get_obs_shape
 
 from parking_exp.buffers.episode_index import EpisodeIndex
@@ -55,21 +54,13 @@ class Storage:
         shapes: Any = get_obs_shape(observation_space)
         self.formats = {key: (box.dtype, shapes[key]) for key, box in observation_space.items()}
         self.episodes = EpisodeIndex(capacity, n_envs, self.formats["desired_goal"])
-        action_dtype = ReplayBuffer._maybe_cast_dtype(action_space.dtype)
         self._other_fields: list[Any] = [
-            ("action", action_dtype, get_action_dim(action_space)),
+            ("action", np.float32, (get_action_dim(action_space),)),
             ("info", np.float64, (n_info,)),
             ("reward", np.float32),
             ("mark", np.uint32),
         ]
         self._allocate(compact=self.formats["achieved_goal"] == self.formats["observation"])
-
-    def cast(self, obs: Mapping[str, Any]) -> Observation:
-        """Return observations with the types and shapes of the space, each entry (n_envs, ...)."""
-        entries = {}
-        for key, (dtype, shape) in self.formats.items():
-            entries[key] = np.asarray(obs[key], dtype).reshape(self.episodes.n_envs, *shape)
-        return entries
 
     def write(
         self,
@@ -87,8 +78,9 @@ class Storage:
             self._widen()
         rows = self.data[row]
         for key in rows["obs"].dtype.names or ():
-            rows["obs"][key] = obs[key]
-            rows["next_obs"][key] = next_obs[key]
+            shape = rows["obs"][key].shape
+            rows["obs"][key] = np.reshape(obs[key], shape)
+            rows["next_obs"][key] = np.reshape(next_obs[key], shape)
         rows["action"] = np.reshape(action, rows["action"].shape)
         rows["reward"] = reward
         rows["info"] = info

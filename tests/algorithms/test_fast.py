@@ -3,12 +3,13 @@ parameters.
 """
 
 import copy
-from types import SimpleNamespace
+import itertools
 
 import numpy as np
 import pytest
 import stable_baselines3 as sb3
 import torch
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
@@ -19,9 +20,12 @@ from support.runs import make_config
 from parking_exp.algorithms import fast
 from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
+from parking_exp.buffers import HerBuffer
+from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 
+REWARD = ParkingReward.of(make_config().env)
 ALGORITHMS = ("SAC", "TD3", "DDPG")
 
 
@@ -67,10 +71,24 @@ def batches(number, batch_size, seed):
     ]
 
 
+def joined(parts):
+    """Several batches as one, from which they are dealt out in turn."""
+    if parts[0] is None:
+        return None
+    if isinstance(parts[0], dict):
+        return {key: joined([part[key] for part in parts]) for key in parts[0]}
+    return torch.stack(parts, 1).flatten(0, 1)
+
+
 def feed(model, samples):
     """Let a model's buffer return these batches, one after the other."""
     iterator = iter(samples)
-    model.replay_buffer = SimpleNamespace(sample=lambda batch_size, env: next(iterator))
+
+    def sample(size, env):
+        parts = itertools.islice(iterator, size // len(samples[0].rewards))
+        return DictReplayBufferSamples(*map(joined, zip(*parts, strict=True)))
+
+    model.replay_buffer.sample = sample
 
 
 def furthest(ours, theirs):
@@ -162,6 +180,7 @@ class OtherExtractor(CombinedExtractor):
 @pytest.mark.parametrize(
     "arguments",
     [
+        {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": {}},
         {"policy": OtherPolicy},
         {"use_sde": True},
         {"policy_kwargs": {"features_extractor_class": OtherExtractor}},
@@ -173,7 +192,10 @@ class OtherExtractor(CombinedExtractor):
 )
 def test_unsupported_models_are_trained_by_stable_baselines3(arguments):
     env = make_training_envs(make_task(make_config().env), 2)
-    arguments = {"policy": "MultiInputPolicy", "env": env, "seed": 0, "buffer_size": 10} | arguments
+    shared = {"policy": "MultiInputPolicy", "env": env, "seed": 0, "buffer_size": 10}
+    her = {"replay_buffer_class": HerBuffer, "replay_buffer_kwargs": {"reward": REWARD}}
+    assert is_supported(fast.SAC(**shared, **her))
+    arguments = shared | her | arguments
     theirs, ours = sb3.SAC(**arguments), fast.SAC(**arguments)
     assert not is_supported(ours)
     samples = batches(5, 64, 0)

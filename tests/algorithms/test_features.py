@@ -14,32 +14,18 @@ SCALES = [100, 100, 5, 5, 1, 1]
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
 
+def observed(x, y, heading, speed=0):
+    """Pose and velocity, in metres and radians, as the env scales them."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    values = np.array([x, y, speed * cos, speed * sin, cos, sin]) / SCALES
+    return torch.tensor(values, dtype=torch.float32)[None]
+
+
 def features(car, goal, make=EgoFrameExtractor):
-    """Features for (x, y, heading, speed) of the car and the same of the goal, in metres and
-    radians.
-    """
-    x, y, heading, speed = car
-    goal_x, goal_y, goal_heading, goal_speed = (*goal, 0)[:4]
+    """Features for (x, y, heading, speed) of the car and the same of the goal."""
     space = make_env(make_config().env).observation_space
-    observation = np.array(
-        [
-            x,
-            y,
-            speed * math.cos(heading),
-            speed * math.sin(heading),
-            math.cos(heading),
-            math.sin(heading),
-        ]
-    )
-    cos, sin = math.cos(goal_heading), math.sin(goal_heading)
-    desired = np.array([goal_x, goal_y, goal_speed * cos, goal_speed * sin, cos, sin])
-    batch = {
-        "observation": observation / SCALES,
-        "achieved_goal": observation / SCALES,
-        "desired_goal": desired / SCALES,
-    }
-    tensors = {key: torch.tensor(value, dtype=torch.float32)[None] for key, value in batch.items()}
-    return make(space)(tensors)[0].tolist()
+    entries = {"observation": observed(*car), "achieved_goal": observed(*car)}
+    return make(space)(entries | {"desired_goal": observed(*goal)})[0].tolist()
 
 
 @pytest.mark.parametrize(

@@ -346,8 +346,6 @@ def test_saved_in_the_middle_of_episodes_it_continues_identically(
         assert_equal(ours.sample(32), other.sample(32))
     assert ours.real_fraction == other.real_fraction
     assert drawable(ours) == drawable(other)
-    ours.reset()
-    assert (len(ours.episodes), ours.size(), ours.real_fraction, drawable(ours)) == (0, 0, None, [])
 
 
 def test_the_number_of_real_transitions_is_rounded_as_in_stable_baselines3():

@@ -8,6 +8,7 @@ from stable_baselines3.common.torch_layers import CombinedExtractor, get_actor_c
 from torch import nn
 
 from parking_exp.algorithms.mirrored_policies import MIRRORED
+from parking_exp.buffers import HerBuffer
 from parking_exp.tasks.feature_extractors import TaskFeatures
 
 POLICIES = {*MIRRORED, *MIRRORED.values()}
@@ -79,12 +80,13 @@ def is_supported(model: Any) -> bool:
     """Return whether the fast update supports a SAC, TD3 or DDPG model.
 
     It supports Stable-Baselines3's policies for Dict observations and this package's mirrored ones,
-    MLPs with ReLU, features without parameters, plain Adam and the CPU; not gSDE.
+    MLPs with ReLU, features without parameters, plain Adam, `HerBuffer` and the CPU; not gSDE.
     """
     policy = model.policy
     extractor = policy.actor.features_extractor
     return (
         type(policy) in POLICIES
+        and getattr(type(model.replay_buffer), "sample", None) is HerBuffer.sample
         and policy.activation_fn is nn.ReLU
         and all(get_actor_critic_arch(policy.net_arch))
         and policy.optimizer_class is torch.optim.Adam

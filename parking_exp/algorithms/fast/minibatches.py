@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import torch
 
-from parking_exp.buffers import HerBuffer
 from parking_exp.tasks.feature_extractors import SymmetricFeatures
 
 # Sampled together: all updates after a long episode would not fit into memory.
@@ -44,23 +43,7 @@ def sample_minibatches(model: Any, steps: int, batch_size: int) -> Iterator[Mini
 
 
 def _sample(model: Any, steps: int, batch_size: int) -> Iterator[Minibatch]:
-    buffer = model.replay_buffer
-    if type(buffer) is HerBuffer:
-        tensors = _tensors(model, buffer.sample(steps * batch_size))
-        dealt = [rows.unflatten(0, (-1, steps)).transpose(0, 1) for rows in tensors]
-    else:
-        normalize = model._vec_normalize_env
-        samples = [buffer.sample(batch_size, env=normalize) for _ in range(steps)]
-        fields = zip(*[_tensors(model, sample) for sample in samples], strict=True)
-        dealt = [torch.stack(parts) for parts in fields]
-
-    features, next_features, *others = dealt
-    both = torch.cat([features, next_features], dim=1)
-    return map(Minibatch, both, *[tensor.contiguous() for tensor in others])
-
-
-def _tensors(model: Any, sample: Any) -> tuple[torch.Tensor, ...]:
-    """Return the fields of a `Minibatch` for a sample, with features and next features apart."""
+    sample = model.replay_buffer.sample(steps * batch_size, env=model._vec_normalize_env)
     extractor = model.actor.features_extractor
     features = model.actor.extract_features(sample.observations, extractor)
     next_features = model.actor.extract_features(sample.next_observations, extractor)
@@ -70,7 +53,10 @@ def _tensors(model: Any, sample: Any) -> tuple[torch.Tensor, ...]:
     if isinstance(extractor, SymmetricFeatures):
         actions = extractor.mirror(actions, sample.observations)
         next_signs = extractor.mirror(next_signs, sample.next_observations)
+    discounts = (1 - sample.dones) * model.gamma
 
-    gamma = model.gamma if sample.discounts is None else sample.discounts
-    discounts = (1 - sample.dones) * gamma
-    return features, next_features, actions, sample.rewards, discounts, next_signs
+    dealt = []
+    for rows in (features, next_features, actions, sample.rewards, discounts, next_signs):
+        dealt.append(rows.unflatten(0, (-1, steps)).transpose(0, 1))
+    both = torch.cat(dealt[:2], dim=1)
+    return map(Minibatch, both, *[rows.contiguous() for rows in dealt[2:]])

@@ -34,7 +34,7 @@ class _Update:
 
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
-        history: list[_Logged] = []
+        history: list[tuple[torch.Tensor, ...]] = []
         for step, batch in enumerate(sample_minibatches(model, gradient_steps, batch_size)):
             history.append(self._step(model, batch))
             if step % model.target_update_interval == 0:
@@ -42,8 +42,14 @@ class _Update:
         model._n_updates += gradient_steps
         return self._losses(model, history)
 
-    def _step(self, model: Any, minibatch: Minibatch) -> "_Logged":
-        """Do one update."""
+    def _step(self, model: Any, minibatch: Minibatch) -> tuple[torch.Tensor, ...]:
+        """Do one update.
+
+        Returns:
+            What the losses are computed from: the entropy coefficient, shape (1,), log
+            probabilities and values of the actor's actions, shape (batch, 1), and the errors of the
+            critics, shape (critics, batch, 1).
+        """
         features, actions, rewards, discounts, _ = minibatch  # the signs are for TD3's target noise
         n, n_actions = actions.shape
         noise = torch.empty((2, n, n_actions), dtype=features.dtype)
@@ -67,7 +73,7 @@ class _Update:
         value, grad_action = self.critics.action_gradient(inputs[:n], n_actions)
         grad_mean, grad_log_std = policy.first(n).backward(grad_action, ent_coef * (1 / n))
         self._update_actor([value[:n] for value in values], grad_mean, grad_log_std)
-        return _Logged(ent_coef, log_prob, value, errors)
+        return ent_coef, log_prob, value, errors
 
     def _update_actor(
         self, values: list[torch.Tensor], grad_mean: torch.Tensor, grad_log_std: torch.Tensor
@@ -94,10 +100,9 @@ class _Update:
         self.ent_coef_adam.step()
         return ent_coef
 
-    def _losses(self, model: Any, history: list["_Logged"]) -> dict[str, float]:
+    def _losses(self, model: Any, history: list[tuple[torch.Tensor, ...]]) -> dict[str, float]:
         """Return mean entropy coefficient and losses of several updates, computed at once."""
-        columns = [torch.stack(column) for column in zip(*history, strict=True)]
-        ent_coef, log_prob, value, errors = columns
+        ent_coef, log_prob, value, errors = map(torch.stack, zip(*history, strict=True))
         means = {
             "ent_coef": ent_coef.mean(),
             "actor_loss": (ent_coef.unsqueeze(2) * log_prob - value).mean(),
@@ -107,22 +112,6 @@ class _Update:
             surplus = log_prob.mean((1, 2)) + model.target_entropy
             means["ent_coef_loss"] = -(ent_coef.squeeze(1).log() * surplus).mean()
         return {name: mean.item() for name, mean in means.items()}
-
-
-class _Logged(NamedTuple):
-    """What the losses of an update are computed from.
-
-    Attributes:
-        ent_coef: shape (1,).
-        log_prob: of the actor's actions, shape (batch, 1).
-        value: the smallest of these actions, shape (batch, 1).
-        errors: of the critics, shape (critics, batch, 1).
-    """
-
-    ent_coef: torch.Tensor
-    log_prob: torch.Tensor
-    value: torch.Tensor
-    errors: torch.Tensor
 
 
 class _SquashedGaussian(NamedTuple):
