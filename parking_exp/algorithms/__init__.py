@@ -1,6 +1,4 @@
-"""Algorithms: SAC, TD3 and DDPG of Stable-Baselines3 with a faster update, CrossQ, and models built
-from configs.
-"""
+"""SAC, TD3 and DDPG with a faster update, CrossQ, and models built from configs."""
 
 from parking_exp.algorithms.fast import DDPG, SAC, TD3
 

@@ -119,9 +119,8 @@ class EpisodeIndex:
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Restore a state of as many rows and envs."""
         self.steps = int(state["steps"])
-        self.tail[:] = state["tail"]
-        self.head[:] = state["head"]
-        self.current[:] = state["current"]
+        for name in ("tail", "head", "current"):
+            setattr(self, name, state[name].copy())
         self._n_records = len(state["table"])
         self.table[: self._n_records] = state["table"]
         self._free = state["free"].tolist()

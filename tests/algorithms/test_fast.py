@@ -1,6 +1,4 @@
-"""The fast update is Stable-Baselines3's: the same weights, batches and noise give the same
-parameters.
-"""
+"""The fast update computes what Stable-Baselines3 does, from the same batches and noise."""
 
 import copy
 import itertools
@@ -50,9 +48,7 @@ def pair(name, *overrides, seed=0):
 
 
 def batches(number, batch_size, seed):
-    """Batches like those of a buffer: observations of parking's size, some episodes over, rewards
-    below zero.
-    """
+    """Batches with observations of parking's size, some ends of episodes, and negative rewards."""
     generator = torch.Generator().manual_seed(seed)
 
     def observation():
@@ -206,9 +202,7 @@ def test_unsupported_models_are_trained_by_stable_baselines3(arguments):
 
 
 def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
-    """8 x 64 transitions of HER with n_sampled_goal=4: int(.8 x 512) = 409 virtual ones, 51 or 52
-    in each minibatch.
-    """
+    """Of 8 x 64 transitions int(0.8 x 512) = 409 are virtual, 51 or 52 in each minibatch."""
     model = make_model(
         "SAC",
         "buffer.relabel_collision=keep",

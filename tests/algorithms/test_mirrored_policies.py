@@ -1,6 +1,4 @@
-"""Mirrored policies: the mirror image of a scene gets the mirror image of the action, and the same
-values.
-"""
+"""The mirror image of a scene gets the mirror image of the action, and the same values."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-"""Normalisation: one scale for all goals, means and deviations of what was seen, saved with the
-policy.
-"""
+"""Normalisation has one scale for all goals, and is saved with the policy."""
 
 import numpy as np
 import pytest

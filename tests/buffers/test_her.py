@@ -1,6 +1,4 @@
-"""The HER buffer: Stable-Baselines3's batches, drawn from the same distributions, and what our
-options change.
-"""
+"""The HER buffer draws Stable-Baselines3's batches, but for what our options change."""
 
 import numpy as np
 import pytest
@@ -115,17 +113,11 @@ def batch_of(ours, index, goal_index=NO_GOALS):
 
 
 def assert_equal(ours, theirs):
-    for our_part, their_part in zip(ours[:5], theirs[:5], strict=True):
-        for key in our_part if isinstance(our_part, dict) else [None]:
-            a, b = (our_part, their_part) if key is None else (our_part[key], their_part[key])
-            assert a.dtype == b.dtype
-            assert torch.equal(a, b), key
+    torch.testing.assert_close(ours[:5], theirs[:5], rtol=0, atol=0)
 
 
 def assert_same_batches(ours, theirs, index, goal_index):
-    """Real and virtual transitions of Stable-Baselines3's buffer, with these goals, are what ours
-    gives.
-    """
+    """Both buffers give the same real transitions, and the same with these virtual goals."""
     goals = theirs.next_observations["achieved_goal"].reshape(-1, 6)
     theirs._sample_goals = lambda *_: goals[goal_index]
     at = np.divmod(index, ours.n_envs)
@@ -136,9 +128,7 @@ def assert_same_batches(ours, theirs, index, goal_index):
 @pytest.mark.parametrize("n_envs", [1, 8])
 @pytest.mark.parametrize("steps", [30, 95, 613])
 def test_given_the_same_indices_batches_are_stable_baselines3s(n_envs, steps):
-    """Before the buffer is full, and after it was overwritten several times (12 rows for 8 envs,
-    100 for one).
-    """
+    """Before the buffer is full, and after it was overwritten several times."""
     ours, theirs = pair(100, n_envs, steps)
     rng = np.random.default_rng(1)
     index = rng.choice(drawable(ours), 64)
@@ -182,9 +172,7 @@ def test_an_episode_longer_than_the_buffer_keeps_its_end():
 @pytest.mark.parametrize("n_envs", [1, 8])
 @pytest.mark.parametrize("strategy", STRATEGY_NAMES)
 def test_indices_are_drawn_from_stable_baselines3s_distribution(strategy, n_envs):
-    """Transition and goal index together, 200,000 draws of each, by a two-sample chi-square
-    test.
-    """
+    """Transition and goal index together, 200,000 draws, by a two-sample chi-square test."""
     steps = 150 if n_envs == 1 else 25  # the buffer has been overwritten in part
     ours, theirs = pair(100, n_envs, steps, goal_selection_strategy=strategy)
     theirs.goal_selection_strategy = type(theirs.goal_selection_strategy)[strategy.upper()]
@@ -209,9 +197,7 @@ def test_indices_are_drawn_from_stable_baselines3s_distribution(strategy, n_envs
 
 
 def test_random_takes_goals_from_everything_stored():
-    """From episodes under way too, all with the same probability; the transition itself is from a
-    whole episode.
-    """
+    """From episodes under way too, all with the same probability."""
     ours, _ = pair(100, 8, 25, goal_selection_strategy="random")
     ours.rng = np.random.default_rng(0)
     drawn = ours.episodes.draw(ours.rng, 100_000)
@@ -298,9 +284,7 @@ def test_what_every_relabelled_transition_carries(
 
 @pytest.mark.parametrize("n_envs", [1, 8])
 def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs, monkeypatch):
-    """Stable-Baselines3's DictReplayBuffer: at every step, also of episodes that are half
-    overwritten.
-    """
+    """As in DictReplayBuffer, at every step, also of episodes that are half overwritten."""
     ours = make(size=12 * n_envs, n_envs=n_envs, goal_selection_strategy=None)
     theirs = DictReplayBuffer(12 * n_envs, *SPACES, device="cpu", n_envs=n_envs)
     transitions = Transitions(n_envs)
@@ -358,9 +342,7 @@ def test_the_number_of_real_transitions_is_rounded_as_in_stable_baselines3():
 
 @pytest.mark.parametrize(("at", "changed"), [(0, "next_obs"), (57, "obs")])
 def test_goals_that_change_within_an_episode_and_other_achieved_goals(at, changed, tmp_path):
-    """From such a transition on, everything is stored with each; batches stay
-    Stable-Baselines3's.
-    """
+    """From such a transition on, all is stored with each; batches are Stable-Baselines3's."""
     ours, theirs = pair(200, 2, 0)
     transitions = Transitions(2)
     for step in range(170):
