@@ -71,7 +71,6 @@ class HerBuffer(DictReplayBuffer):
         self.handle_timeout_termination = handle_timeout_termination
         self.goal_selection_strategy = goal_selection_strategy
         self.n_sampled_goal = 0 if goal_selection_strategy is None else n_sampled_goal
-        self.her_ratio = 1 - 1 / (self.n_sampled_goal + 1)
         self.relabel_collision = relabel_collision
         self.relabel_terminated = relabel_terminated
         self.goal_velocity = goal_velocity
@@ -110,7 +109,6 @@ class HerBuffer(DictReplayBuffer):
         """
         for env in np.flatnonzero(self.episodes.current == NO_EPISODE).tolist():
             self.episodes.start(env, obs["desired_goal"][env])
-        self.episodes.overwrite(self.storage.record_ids(self.pos))
 
         terminated = np.array(done, bool)
         ended = np.flatnonzero(terminated).tolist()
@@ -123,8 +121,7 @@ class HerBuffer(DictReplayBuffer):
         for column, key in enumerate(self._info_keys):
             info[:, column] = [env_info[key] for env_info in infos]
 
-        self.storage.write(self.pos, obs, next_obs, action, reward, terminated, failed, info)
-        self.episodes.steps += 1
+        self.storage.write(obs, next_obs, action, reward, terminated, failed, info)
         self._update_position()
         for env in ended:
             self.episodes.finish(env)
@@ -143,7 +140,7 @@ class HerBuffer(DictReplayBuffer):
         transitions = self.storage.take(index)
 
         goal_index = NO_GOALS
-        n_virtual = int(self.her_ratio * batch_size)
+        n_virtual = int((1 - 1 / (self.n_sampled_goal + 1)) * batch_size)
         if n_virtual:
             records = transitions.records[-n_virtual:]
             goal_index = self.select_goals(index[-n_virtual:], records)

@@ -64,7 +64,6 @@ class Storage:
 
     def write(
         self,
-        row: int,
         obs: Observation,
         next_obs: Observation,
         action: np.ndarray,
@@ -73,7 +72,9 @@ class Storage:
         failed: np.ndarray,
         info: np.ndarray,
     ) -> None:
-        """Write a row: a transition of each env, in the episodes under way."""
+        """Write the next row: a transition of each env, in the episodes under way."""
+        row = self.episodes.steps % self.episodes.capacity
+        self.episodes.overwrite(self.data["mark"][row] >> ID_SHIFT)
         if self.compact and not (self._is_compact(obs) and self._is_compact(next_obs)):
             self._widen()
         rows = self.data[row]
@@ -86,10 +87,7 @@ class Storage:
         rows["info"] = info
         record_ids = self.episodes.current
         rows["mark"] = record_ids << ID_SHIFT | failed * FAILED | terminated * TERMINATED
-
-    def record_ids(self, row: int) -> np.ndarray:
-        """Return the record ids of a row's episodes, shape (n_envs,)."""
-        return self.data["mark"][row] >> ID_SHIFT
+        self.episodes.steps += 1
 
     def take(self, index: np.ndarray) -> Transitions:
         """Return transitions by index, row * n_envs + env, as a copy."""

@@ -86,13 +86,13 @@ def is_supported(model: Any) -> bool:
     extractor = policy.actor.features_extractor
     return (
         type(policy) in POLICIES
-        and getattr(type(model.replay_buffer), "sample", None) is HerBuffer.sample
+        and type(model.replay_buffer).sample is HerBuffer.sample
         and policy.activation_fn is nn.ReLU
         and all(get_actor_critic_arch(policy.net_arch))
         and policy.optimizer_class is torch.optim.Adam
         and ADAM_ARGUMENTS.issuperset(policy.optimizer_kwargs)
         and (type(extractor) is CombinedExtractor or isinstance(extractor, TaskFeatures))
         and next(extractor.parameters(), None) is None
-        and not getattr(model, "use_sde", False)
+        and not model.use_sde
         and model.device.type == "cpu"
     )
