@@ -10,7 +10,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import NonNegativeInt
 
-from parking_exp.config.cell_labels import setting, settings_of
+from parking_exp.config.cell_labels import find_factors, label_factors, setting, settings_of
 from parking_exp.config.paths import default_uri, is_same_store, resolved
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
@@ -103,12 +103,13 @@ class Evaluation:
         """Keys of `env` that differ from the training env, with their values."""
         now = _settings(self.env)
         before = _settings(self.agent.config.env)
-        return {key: now.get(key) for key in now | before if now.get(key) != before.get(key)}
+        differing = [key for key in now | before if now.get(key) != before.get(key)]
+        return {key.removeprefix("env."): now.get(key) for key in differing}
 
 
 def _settings(env: EnvConfig) -> dict[str, Any]:
     """Return an env's settings as dotted keys, without its simulator and the agent's part."""
-    return settings_of(env.model_dump(exclude={"simulator", *env.agent_keys}))
+    return settings_of({"env": env.model_dump(exclude={"simulator", *env.agent_keys})})
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
@@ -147,12 +148,13 @@ def _table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, floa
     """Return a table of mean rates by cell and evaluation, with the lowest success of a run."""
     import pandas as pd
 
+    labels = _env_labels(evaluations)
     rows = []
-    for evaluation, summary in zip(evaluations, summaries, strict=True):
+    for evaluation, label, summary in zip(evaluations, labels, summaries, strict=True):
         row: dict[str, Any] = {
             "agent": evaluation.agent.label,
             "results": evaluation.folder.name,
-            "evaluated on": evaluation.env_text,
+            "evaluated on": label,
         }
         for key, value in summary.items():
             if key.endswith("_rate"):
@@ -163,6 +165,15 @@ def _table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, floa
     table.insert(0, "runs", groups.size())
     table.insert(2, "lowest success, %", groups["success"].min())
     return table.reset_index().to_string(index=False, float_format="{:.2f}".format, na_rep="")
+
+
+def _env_labels(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return how the env of each evaluation differs from the others, and from that of training."""
+    envs = [evaluation.env for evaluation in evaluations]
+    envs += [evaluation.agent.config.env for evaluation in evaluations]
+    factors, values = find_factors([_settings(env) for env in envs], [""] * len(envs))
+    labels = [label_factors(factors, row) or "env of training" for row in values]
+    return labels[: len(evaluations)]
 
 
 def _evaluate(evaluation: Evaluation) -> dict[str, float]:

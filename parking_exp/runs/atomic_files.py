@@ -82,11 +82,6 @@ def read_json(path: Path) -> Any:
         raise ValueError(f"{path} is nested too deeply") from error
 
 
-def read_plain_yaml(path: Path) -> Any:
-    """Read a YAML file; raises as `read_file` and `parse_plain_yaml`."""
-    return parse_plain_yaml(read_file(path, MAX_SMALL))
-
-
 def parse_plain_yaml(content: bytes) -> Any:
     """Return what YAML describes.
 

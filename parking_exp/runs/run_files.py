@@ -12,7 +12,13 @@ from parking_exp.config.paths import absolute, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check
 from parking_exp.errors import ConfigError, first_line
-from parking_exp.runs.atomic_files import read_json, read_plain_yaml, write_atomically
+from parking_exp.runs.atomic_files import (
+    MAX_SMALL,
+    parse_plain_yaml,
+    read_file,
+    read_json,
+    write_atomically,
+)
 
 CONFIG_FILE = "config.yaml"
 STATUS_FILE = "status.json"
@@ -96,7 +102,7 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
     """
     path = directory / CONFIG_FILE
     try:
-        stored = read_plain_yaml(path)
+        stored = parse_plain_yaml(read_file(path, MAX_SMALL))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or first_line(error)
         raise ConfigError(f"{path} can't be read: {reason}") from error

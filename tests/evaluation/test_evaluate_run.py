@@ -95,10 +95,13 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     assert done.returncode == 0, done.stderr
     table = [line.split() for line in done.stdout.splitlines()[-2:]]
     assert [row[-6] for row in table] == ["2", "2"]  # runs
-    assert [row[-7] for row in table] == ["parking", "(vehicles_count=20)"]
+    assert [row[-7] for row in table] == ["vehicles_count=0", "vehicles_count=20"]
     summaries = [read_json(path) for path in (twin / "evaluations").glob("*/summary.json")]
     assert {summary["env_config"]["vehicles_count"] for summary in summaries} == {0, 20}
     assert "3 episodes of parking (vehicles_count=20), from seed 0" in done.stdout
+    done = call_script("evaluate", *arguments[:-1], "env.vehicles_count=20")
+    (*_, row) = done.stdout.splitlines()
+    assert row.split()[-7] == "vehicles_count=20"  # named, where it is the only one
     done = call_script("evaluate", *arguments, "name=same")
     assert done.returncode == 2 and "name" in done.stderr
     RunDirectory(twin).update(status="failed")
