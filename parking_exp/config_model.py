@@ -1,6 +1,6 @@
 """The base of all config schemas, and the types of their keys."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -27,6 +27,8 @@ Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Range = Annotated[Bounds, AfterValidator(_check_range)]
 EpisodeSeed = Annotated[int, Field(ge=0, lt=TRAINING_SEEDS_START)]
 NumberOfEpisodes = Annotated[int, Field(ge=1, le=10_000_000)]
+GoalStrategy = Literal["future", "final", "episode", "random"]
+"""How HER selects virtual goals."""
 
 
 class ConfigModel(BaseModel):

@@ -46,6 +46,8 @@ PUBLIC_PATHS = (
     "parking_exp.statistics",
     "parking_exp.sweeps.local.LocalLauncher",
     "parking_exp.sweeps.slurm.SlurmLauncher",
+    "parking_exp.sweeps.supervisor.supervise_job",
+    "parking_exp.reports.sections.Section",
 )
 TARGET = re.compile(r"_target_: (parking_exp\.[\w.]+)")
 NAMED = re.compile(r"\bparking_exp(?:\.\w+)+")

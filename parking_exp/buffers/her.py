@@ -12,7 +12,8 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 from parking_exp.buffers.episode_index import NO_EPISODE
 from parking_exp.buffers.storage import Storage, Transitions
-from parking_exp.buffers.strategies import STRATEGIES, GoalStrategy
+from parking_exp.buffers.strategies import STRATEGIES
+from parking_exp.config_model import GoalStrategy
 from parking_exp.tasks.task import GoalReward, Observation
 
 NO_GOALS = np.empty(0, np.int64)

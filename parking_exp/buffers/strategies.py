@@ -6,13 +6,12 @@ transitions whose next achieved goals become the virtual goals, shape (n,).
 """
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 
 from parking_exp.buffers.episode_index import EpisodeIndex
+from parking_exp.config_model import GoalStrategy
 
-GoalStrategy = Literal["future", "final", "episode", "random"]
 Strategy = Callable[[np.random.Generator, EpisodeIndex, np.ndarray, np.ndarray], np.ndarray]
 
 

@@ -14,7 +14,7 @@ from pydantic import (
     PositiveFloat,
 )
 
-from parking_exp.config_model import Count, Share
+from parking_exp.config_model import Count, GoalStrategy, Share
 
 # How values are checked against a limit.
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
@@ -57,6 +57,7 @@ LIMITS: dict[str, Any] = {
     "handle_timeout_termination": bool,
     "top_quantiles_to_drop_per_net": NonNegativeInt,
     "n_sampled_goal": Count,
+    "goal_selection_strategy": GoalStrategy,
     "n_critics": Annotated[int, Field(ge=1, le=100)],
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
     "weight_decay": NonNegativeFloat,
