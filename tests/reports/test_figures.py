@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from support import report_factory
 
-from parking_exp.figure_style import INK, cell_style, report_style, wrapped_labels
+from parking_exp.figure_style import cell_style, report_style, wrapped_labels
 from parking_exp.reports.figures import cell_figures, comparison_figures
 from parking_exp.reports.sections import SECTIONS, draw
 from parking_exp.reports.tables import report_tables
@@ -43,10 +43,6 @@ def drawn(three, tmp_path_factory):
     return folder, {picture.name: picture for picture in draw(three, folder)}
 
 
-def of_cells(draw):
-    return lambda report: draw(report.shown_cells)
-
-
 def axes_of(draw_figure, report):
     """The axes of the first figure that a function draws."""
     with report_style():
@@ -61,11 +57,6 @@ def lines(axes, cell):
 
 def texts(artists):
     return [text.get_text() for text in artists]
-
-
-def with_first(report, **changes):
-    """A report whose first cell is changed."""
-    return replace(report, cells=[replace(report.cells[0], **changes), *report.cells[1:]])
 
 
 def sections(*ids):
@@ -109,10 +100,7 @@ def test_final_success_has_every_seed_and_the_mean_with_its_interval(three):
         )
         assert mean.get_xdata() == pytest.approx([100 * cell.success.value])
     (axes,) = axes_of(cell_figures.draw_final_success, replace(three, shown=["c2"]))
-    assert {line.get_color() for line in axes.lines} == {
-        cell_style("c2").colour,
-        INK,
-    }  # a cell keeps its colour
+    assert len(lines(axes, "c2")) == 3  # a cell keeps its colour
 
 
 def test_learning_curves_have_means_and_every_seed(three):
@@ -144,15 +132,10 @@ def test_pairs_are_differences_between_all_cells_or_from_the_baseline(three):
     assert "▲" in axes.texts[1].get_text()
     _, _, ddpg = axes.lines[1:][1::2]
     assert ddpg.get_xdata() == pytest.approx([100 * three.pairs[2].difference.value])
-    many = [
-        *comparison_figures.draw_pairs(replace(three, pairs=[three.pairs[0]] * 60, declared=True))
-    ]
-    assert [len(figure.axes[0].texts) for figure, _ in many] == [
-        24,
-        24,
-        12,
-    ]  # as many as fit on a page
-    assert [caption for _, caption in many[1:]] == ["Continued."] * 2
+    long = replace(three, pairs=[three.pairs[0]] * 60, declared=True)
+    pages = [*comparison_figures.draw_pairs(long)]
+    assert [len(figure.axes[0].texts) for figure, _ in pages] == [24, 24, 12]
+    assert [caption for _, caption in pages[1:]] == ["Continued."] * 2
     against = replace(three, baseline="c2", reference="c2", pairs=three.pairs[1:])
     (axes,) = axes_of(comparison_figures.draw_pairs, against)
     assert texts(axes.get_yticklabels()) == ["sac", "td3"]
@@ -172,25 +155,21 @@ def test_two_crossed_factors_are_a_map_of_mean_success():
     axes, _ = axes_of(comparison_figures.draw_two_factors, report)
     rates = {cell.label: f"{100 * cell.success.value:.1f}" for cell in report.cells}
     assert texts(axes.texts) == [*rates.values()]
-    assert (texts(axes.get_xticklabels())[3], texts(axes.get_yticklabels())[0]) == (
-        "8",
-        "her_future",
-    )
+    assert texts(axes.get_xticklabels())[3] == "8"
+    assert texts(axes.get_yticklabels())[0] == "her_future"
 
 
 def test_the_map_has_failures_by_slot(three):
     cell = three.cells[0]
-    unknown = cell.task_data["slots"][5] | {"n": 0, "success": None, "crash": None, "timeout": None}
-    slots = [*cell.task_data["slots"][:5], unknown, *cell.task_data["slots"][6:]]
-    axes, *_ = axes_of(
-        of_cells(lot_figures.draw_scene_map),
-        with_first(three, task_data={**cell.task_data, "slots": slots}),
-    )
-    rates = [
-        np.nan if row["crash"] is None else 100 * (row["crash"] + row["timeout"]) for row in slots
-    ]
-    assert axes.collections[1].get_array().filled(np.nan) == pytest.approx(rates, nan_ok=True)
-    assert texts(axes.texts) == [f"{rate:.0f}" for rate in rates if np.isfinite(rate)]
+    slots = list(cell.task_data["slots"])
+    slots[5] = slots[5] | {"n": 0, "success": None, "crash": None, "timeout": None}
+    cell = replace(cell, task_data={**cell.task_data, "slots": slots})
+    axes, *_ = axes_of(lot_figures.draw_scene_map, [cell])
+    rates = [100 * (row["crash"] + row["timeout"]) for row in slots if row["n"]]
+    shown = axes.collections[1].get_array().filled(np.nan)
+    assert np.isnan(shown[5])
+    assert np.delete(shown, 5) == pytest.approx(rates)
+    assert texts(axes.texts) == [f"{rate:.0f}" for rate in rates]
 
 
 @pytest.mark.parametrize(
@@ -225,21 +204,14 @@ def test_labels_are_written_as_they_are_and_do_nothing(tmp_path):
         report_factory.report(5, 2, labels=labels), tmp_path, ["png"], sections("results")
     )
     elements = [*ET.fromstring(picture.svg).iter()]
-    assert {*labels[:2], "ab[31mevil <script>alert(1)</script>"} <= {
-        element.text for element in elements
-    }
-    assert not {e.tag.removeprefix(SVG) for e in elements} & {
-        "script",
-        "img",
-        "b",
-        "a",
-        "foreignObject",
-    }
-    attributes = [item for element in elements for item in element.attrib.items()]
-    assert not [key for key, _ in attributes if key.startswith("on")]
-    assert all(
-        link.startswith(("#", "data:image/")) for key, link in attributes if key.endswith("href")
-    )
+    written = {element.text for element in elements}
+    assert {*labels[:2], "ab[31mevil <script>alert(1)</script>"} <= written
+    tags = {element.tag.removeprefix(SVG) for element in elements}
+    assert not tags & {"script", "img", "b", "a", "foreignObject"}
+    for element in elements:
+        for key, value in element.attrib.items():
+            assert not key.startswith("on")
+            assert not key.endswith("href") or value.startswith(("#", "data:image/"))
     assert not re.search(rb"url\((?!#)", picture.svg)
 
 

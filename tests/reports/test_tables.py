@@ -42,14 +42,8 @@ def test_a_rate_next_to_0_or_1_is_not_written_as_0_or_1():
     texts = ["100.0", "100.0", "99.99", "99.97", "99.8", "50.0", "0.03", "0.01", "0.0", ""]
     assert [formats.percent(rate) for rate in rates] == texts
     differences = (0.032, 0.0003, -0.0003, 1e-17, 0, None)
-    assert [formats.points(difference) for difference in differences] == [
-        "+3.2",
-        "+0.03",
-        "\u22120.03",
-        "0.0",
-        "0.0",
-        "",
-    ]
+    texts = ["+3.2", "+0.03", "\u22120.03", "0.0", "0.0", ""]
+    assert [formats.points(difference) for difference in differences] == texts
 
 
 def test_tables_have_every_number(tmp_path):
@@ -73,11 +67,8 @@ def test_tables_have_every_number(tmp_path):
     assert [float(row["success"]) for row in headline] == pytest.approx(
         [cell.success.value for cell in report.cells]
     )
-    assert (headline[0]["label"], headline[0]["seeds"], headline[0]["runs_done"]) == (
-        report.cells[0].label,
-        "10",
-        "10",
-    )
+    assert headline[0]["label"] == report.cells[0].label
+    assert (headline[0]["seeds"], headline[0]["runs_done"]) == ("10", "10")
 
 
 def test_conditions_that_are_the_same_in_every_row_are_in_the_caption():

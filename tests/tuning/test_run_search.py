@@ -7,6 +7,7 @@ import shlex
 import signal
 import time
 
+import pandas as pd
 import pytest
 import yaml
 from rich.console import Console
@@ -56,23 +57,20 @@ def test_a_search_trains_its_trials_tags_their_runs_and_a_rerun_does_nothing(out
     assert "best so far: trial 0: unchanged (success_auc 0.0%)" in status.stdout
 
 
-def test_trial_0_and_the_best_of_the_others_are_retested():
-    def chosen(n_retest, *values, runs="abcde"):
-        states = ["pruned" if value is None else "done" for value in values]
-        zipped = zip(range(9), states, values, runs, strict=False)
-        trials = [
-            TrialRow(number, state, value=value, runs=[run]) for number, state, value, run in zipped
-        ]
-        return [trial.number for trial in choose_trials(trials, n_retest)]
-
-    assert chosen(2, 0.1, 0.9, None, 0.5, 0.9) == [0, 1, 4]
-    assert chosen(9, 0.1, 0.9, None, 0.5, 0.9) == [0, 1, 4, 3]
-    assert chosen(1, None, 0.9) == [1]
-    assert chosen(3, 0.5, 0.9, 0.9, 0.9, 0.5, runs="abcba") == [
-        0,
-        1,
-        2,
-    ]  # the first of the trials with the same runs
+@pytest.mark.parametrize(
+    ("n_retest", "values", "runs", "chosen"),
+    [
+        (2, [0.1, 0.9, None, 0.5, 0.9], "abcde", [0, 1, 4]),
+        (9, [0.1, 0.9, None, 0.5, 0.9], "abcde", [0, 1, 4, 3]),
+        (1, [None, 0.9], "ab", [1]),
+        (3, [0.5, 0.9, 0.9, 0.9, 0.5], "abcba", [0, 1, 2]),  # some have the runs of another
+    ],
+)
+def test_trial_0_and_the_best_of_the_others_are_retested(n_retest, values, runs, chosen):
+    trials = []
+    for number, (value, run) in enumerate(zip(values, runs, strict=True)):
+        trials.append(TrialRow(number, "done" if value else "pruned", value=value, runs=[run]))
+    assert [trial.number for trial in choose_trials(trials, n_retest)] == chosen
 
 
 def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_path):
@@ -92,11 +90,8 @@ def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_p
     assert content["experiment_name"] == "tuned_mine"
     (run,) = compose_runs("config", [f"experiment={path}"], str(folder))
     assert validate(run.cell).cell_key == search.config({"algorithm.gamma": 0.97}).cell_key
-    assert shlex.split(out.getvalue().splitlines()[-1])[-3:] == [
-        f"experiment={path}",
-        "--config-dir",
-        str(folder),
-    ]
+    command = shlex.split(out.getvalue().splitlines()[-1])
+    assert command[-3:] == [f"experiment={path}", "--config-dir", str(folder)]
 
 
 @pytest.mark.slow
@@ -149,10 +144,7 @@ def test_kills_at_random_moments_lose_no_trial_and_repeat_none(tmp_path):
     assert len(set(paths)) == len(list(tmp_path.glob("smoke/*/seed=*")))
     assert {read_state(path).stage for path in paths} <= {"done", "pruned"}
     for path in paths:  # every env step once
-        steps = [
-            line.split(",")[1] for line in (path / "episodes.csv").read_text().splitlines()[1:]
-        ]
-        assert steps == sorted(steps, key=int)
+        assert pd.read_csv(path / "episodes.csv").iloc[:, 1].is_monotonic_increasing
 
 
 @pytest.mark.slow
