@@ -27,8 +27,11 @@ Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Range = Annotated[Bounds, AfterValidator(_check_range)]
 EpisodeSeed = Annotated[int, Field(ge=0, lt=TRAINING_SEEDS_START)]
 NumberOfEpisodes = Annotated[int, Field(ge=1, le=10_000_000)]
+# Arguments of `HerBuffer`, which a config is checked against without importing torch.
 GoalStrategy = Literal["future", "final", "episode", "random"]
-"""How HER selects virtual goals."""
+RelabelCollision = Literal["keep", "sb3", "exclude"]
+RelabelTerminated = Literal["sb3", "goal", "goal_and_crash", "env"]
+GoalVelocity = Literal["achieved", "zero"]
 
 
 class ConfigModel(BaseModel):

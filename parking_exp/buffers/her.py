@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +13,12 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from parking_exp.buffers.episode_index import NO_EPISODE
 from parking_exp.buffers.storage import Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.config_model import GoalStrategy
+from parking_exp.config_model import (
+    GoalStrategy,
+    GoalVelocity,
+    RelabelCollision,
+    RelabelTerminated,
+)
 from parking_exp.tasks.task import GoalReward, Observation
 
 NO_GOALS = np.empty(0, np.int64)
@@ -58,9 +63,9 @@ class HerBuffer(DictReplayBuffer):
         handle_timeout_termination: bool = True,
         n_sampled_goal: int = 4,
         goal_selection_strategy: GoalStrategy | None = "future",
-        relabel_collision: Literal["keep", "sb3", "exclude"] = "sb3",
-        relabel_terminated: Literal["sb3", "goal", "goal_and_crash", "env"] = "sb3",
-        goal_velocity: Literal["achieved", "zero"] = "achieved",
+        relabel_collision: RelabelCollision = "sb3",
+        relabel_terminated: RelabelTerminated = "sb3",
+        goal_velocity: GoalVelocity = "achieved",
         *,
         reward: GoalReward,
     ) -> None:

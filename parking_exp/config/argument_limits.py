@@ -14,7 +14,14 @@ from pydantic import (
     PositiveFloat,
 )
 
-from parking_exp.config_model import Count, GoalStrategy, Share
+from parking_exp.config_model import (
+    Count,
+    GoalStrategy,
+    GoalVelocity,
+    RelabelCollision,
+    RelabelTerminated,
+    Share,
+)
 
 # How values are checked against a limit.
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
@@ -28,7 +35,11 @@ def _check_initial_value(coefficient: str) -> str:
 
 
 # Arguments of `HerBuffer` that say how transitions are relabelled.
-RELABEL_OPTIONS = ("relabel_collision", "relabel_terminated", "goal_velocity")
+RELABEL_OPTIONS: dict[str, Any] = {
+    "relabel_collision": RelabelCollision,
+    "relabel_terminated": RelabelTerminated,
+    "goal_velocity": GoalVelocity,
+}
 # Arguments that have no effect without virtual goals.
 HER_OPTIONS = ("n_sampled_goal", *RELABEL_OPTIONS)
 
@@ -58,6 +69,7 @@ LIMITS: dict[str, Any] = {
     "top_quantiles_to_drop_per_net": NonNegativeInt,
     "n_sampled_goal": Count,
     "goal_selection_strategy": GoalStrategy,
+    **RELABEL_OPTIONS,
     "n_critics": Annotated[int, Field(ge=1, le=100)],
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
     "weight_decay": NonNegativeFloat,

@@ -31,24 +31,27 @@ def _check_buffer(run: RunConfig) -> Iterator[str]:
             f"buffer.{her_options[0]} has no effect without virtual goals; leave it out, or use "
             "buffer=her_future"
         )
-    if (longest := run.env.for_training().episode_steps()) is not None:
+    longest = run.env.for_training().episode_steps()
+    if longest is not None:
         yield from check_lengths(run, longest)
     yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
 
 
 def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
     """Yield a sentence for each key that is too small for the longest training episode."""
-    starts, buffer = run.algorithm.arguments.get("learning_starts"), run.buffer.arguments
+    starts = run.algorithm.arguments.get("learning_starts")
+    buffer = run.buffer.arguments
+    n_steps = longest * run.n_envs
     is_her = run.buffer.class_name in HER_CLASSES or any(name in buffer for name in HER_OPTIONS)
-    relabels = buffer.get("goal_selection_strategy", "future" if is_her else None) is not None
-    if relabels and (not isinstance(starts, int) or starts < longest * run.n_envs):
-        key = (
-            "algorithm.learning_starts" if starts is None else f"algorithm.learning_starts={starts}"
-        )
+    default_strategy = "future" if is_her else None
+    relabels = buffer.get("goal_selection_strategy", default_strategy) is not None
+    if relabels and (not isinstance(starts, int) or starts < n_steps):
+        key = "algorithm.learning_starts"
+        if starts is not None:
+            key += f"={starts}"
         yield (
-            f"{key}: HER samples finished episodes only; give at least "
-            f"{longest * run.n_envs}: {longest} steps of the longest training episode x "
-            f"{run.n_envs} envs"
+            f"{key}: HER samples finished episodes only; give at least {n_steps}: {longest} "
+            f"steps of the longest training episode x {run.n_envs} envs"
         )
     elif isinstance(starts, int) and run.total_timesteps <= starts:
         yield (
@@ -81,11 +84,15 @@ def check_tasks(runs: Iterable[RunConfig]) -> Iterator[str]:
 
 def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
     noise = run.algorithm.arguments.get("action_noise")
-    if noise is not None and not (isinstance(noise, Mapping) and "_target_" in noise):
+    if noise is None:
+        return
+    if not isinstance(noise, Mapping) or "_target_" not in noise:
         yield f"algorithm.action_noise={noise} has no _target_; give one, or null"
         return
-    lists = {name: values for name, values in (noise or {}).items() if isinstance(values, list)}
-    (size,) = (task.prediction_env().action_space.shape or (1,)) if lists else (1,)
+    lists = {name: values for name, values in noise.items() if isinstance(values, list)}
+    if not lists:
+        return  # an environment need not be made
+    (size,) = task.prediction_env().action_space.shape or (1,)
     for name, values in lists.items():
         if len(values) != size:
             yield (
@@ -95,7 +102,8 @@ def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
 
 
 def _check_algorithm(run: RunConfig) -> Iterator[str]:
-    algorithm, train_freq = run.algorithm, run.algorithm.arguments.get("train_freq")
+    algorithm = run.algorithm
+    train_freq = algorithm.arguments.get("train_freq")
     if algorithm.normalize and algorithm.features != "raw":
         yield (
             f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} does its own "

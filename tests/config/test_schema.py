@@ -9,10 +9,11 @@ from highway_env.envs.parking_env import ParkingEnv
 from support.runs import make_config, options
 
 from parking_exp.buffers import HerBuffer
-from parking_exp.buffers.strategies import STRATEGIES, GoalStrategy
+from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.argument_limits import HER_OPTIONS
 from parking_exp.config.rules import update_ratio_warning
 from parking_exp.config.run_key import changes_results
+from parking_exp.config_model import GoalStrategy
 from parking_exp.errors import ConfigError
 
 

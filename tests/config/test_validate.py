@@ -9,7 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 from support.runs import make_config
 
-from parking_exp.config.argument_limits import KNOWN_ARGUMENTS
+from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.constructor_arguments import SET_BY_RUN, import_object
 from parking_exp.config.validate import validate, validate_all
@@ -233,6 +233,8 @@ def test_arguments_that_are_known_without_importing_their_class_fit_its_signatur
     set_by_run = {*SET_BY_RUN["algorithm"], *SET_BY_RUN["buffer"]} & set(signature.parameters)
     for names in known:
         signature.bind(**dict.fromkeys(names | set_by_run))
+        limits = CLASS_LIMITS.get(target.rpartition(".")[2], LIMITS)
+        assert names - {"action_noise"} <= set(limits)
 
 
 def test_our_own_keys_of_all_cells_are_checked_before_any_class_is_imported(tmp_path, monkeypatch):
