@@ -36,8 +36,8 @@ class _UnfailingStream:
     its disk full.
     """
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
         self.error: OSError | None = None
 
     def write(self, text: str) -> int:
@@ -46,6 +46,8 @@ class _UnfailingStream:
             self._stream.write(text)
         except OSError as error:
             self.error = error
+        except ValueError:  # the stream is closed, or has no such characters
+            pass
         return len(text)
 
     def flush(self) -> None:
@@ -54,6 +56,8 @@ class _UnfailingStream:
             self._stream.flush()
         except OSError as error:
             self.error = error
+        except ValueError:  # it is closed
+            pass
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -86,13 +90,26 @@ def check_output() -> None:
         raise error
 
 
+def open_standard_streams() -> None:
+    """Open standard streams that are closed, or else the next file would get their descriptors, and
+    the output.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free descriptor, which is this one
+            os.set_inheritable(descriptor, True)
+
+
 def drop_unwritten_output() -> None:
     """Drop what the standard streams could not write: Python would try again at its exit, and
     fail.
     """
     for stream in (sys.stdout, sys.stderr):
         try:
-            stream.flush()
+            if stream is not None:
+                stream.flush()
         except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 

@@ -31,6 +31,7 @@ from parking_exp.terminal import (
     check_output,
     drop_unwritten_output,
     is_script,
+    open_standard_streams,
     program,
     say,
     unfailing_output,
@@ -50,6 +51,7 @@ def run_command(
         command: the function to call.
         read: turns the words of the command line into Hydra's overrides.
     """
+    open_standard_streams()
     try:
         with unfailing_output(), errors_as_sentences():
             _run(config_name, command, read)
@@ -58,6 +60,12 @@ def run_command(
 
 
 def _run(config_name: str, command: Command, read: Callable[[list[str]], list[str]]) -> None:
+    try:
+        Path.cwd()
+    except FileNotFoundError as error:
+        raise ConfigError(
+            "the working directory does not exist any more; change to one that does"
+        ) from error
     options, words = _parse(sys.argv[1:])
     overrides = [to_hydra_syntax(override) for override in read(words)]
     if options.help:

@@ -20,11 +20,13 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import (
     ConfigAttributeError,
     ConfigKeyError,
+    KeyValidationError,
     OmegaConfBaseException,
 )
 
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.grid import MAX_RUNS, Block, Point, check_blocks, expand_points, seeds_of
+from parking_exp.config.hydra_settings import check_hydra_overrides, check_hydra_settings
 from parking_exp.config.overrides import (
     axes_of,
     config_dir,
@@ -124,6 +126,7 @@ def compose_runs(
         ConfigError: an override names no key or option, or the config does not compose.
     """
     hydra_lines = [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)]
+    check_hydra_overrides(config_name, hydra_lines)
     with hydra_ready():
         compose_point = _composer(config_name, hydra_lines)
         axes = axes_of(to_hydra_syntax(line) for line in overrides if not is_hydra_override(line))
@@ -150,6 +153,10 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
         options = {
             group: option for group, option in choices.items() if not group.startswith("hydra")
         }
+        # Only files of the user's own set keys of Hydra.
+        if hydra_lines or any("/" in line for line in lines):
+            plain = hydra.compose(config_name, return_hydra_config=True)
+            check_hydra_settings(config_name, config.hydra, plain.hydra)
         settings = cast(dict[str, Any], OmegaConf.to_container(config.hydra.launcher, resolve=True))
         with open_dict(config):
             del config["hydra"]
@@ -281,6 +288,8 @@ def _sentence(error: Exception) -> str:
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and cause.parent_node is not None:
         return _unknown_key(cause)
+    if any(isinstance(item, KeyValidationError) for item in (cause, error.__context__)):
+        return "a config file has a key that is null or not a word; write it in quotes, as 'null'"
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
         return f"{cause.full_key}: {first_line(cause)}"
     return one_line(error)

@@ -1,18 +1,21 @@
 """Command-line overrides in Hydra's grammar: quoting, parsing, the values of each key."""
 
+import math
 import os
 import re
+import sys
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, RangeSweep
 from hydra.errors import HydraException
 
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, first_line
 
+MAX_VALUES = 100_000  # of a range
 WORD = re.compile(
     r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+"""
 )  # a quoted text, or what stands between commas
@@ -65,8 +68,14 @@ def is_hydra_override(override: str) -> bool:
 
 def parse_overrides(overrides: Iterable[str]) -> list[Override]:
     """Parse overrides, within `hydra_ready`."""
+    lines = list(overrides)
     parser = OverridesParser.create(GlobalHydra.instance().config_loader())
-    parsed = parser.parse_overrides(list(overrides))
+    try:
+        parsed = parser.parse_overrides(lines)
+    except ValueError as error:  # a number of thousands of digits, which Python does not read
+        long_lines = [line for line in lines if len(line) > sys.get_int_max_str_digits()]
+        keys = ", ".join(line.partition("=")[0] for line in long_lines)
+        raise ConfigError(f"{keys}: {first_line(error).partition(';')[0]}") from error
     for override in parsed:
         if not override.key_or_group:
             raise ConfigError(
@@ -100,6 +109,7 @@ def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
     """
     axes = {}
     for override in parse_overrides(map(_labels_as_text, overrides)):
+        _refuse_long_range(override)
         values = [] if override.is_sweep_override() else [override.get_value_element_as_str()]
         if override.is_discrete_sweep():
             values = list(override.sweep_string_iterator())
@@ -129,3 +139,17 @@ def _label(override: Override) -> str:
     if label is not None and not isinstance(label, str):
         raise ConfigError(f"{override.input_line}: a label is text; write \"label='...'\"")
     return "null" if label is None else label
+
+
+def _refuse_long_range(override: Override) -> None:
+    """Refuse a range of more values than a sweep can have, before they are listed."""
+    sweep = override.value()
+    if not isinstance(sweep, RangeSweep) or sweep.start is None or sweep.stop is None:
+        return
+    if not sweep.step:
+        raise ConfigError(f"{override.input_line}: the step of a range can't be 0")
+    n_values = (sweep.stop - sweep.start) // sweep.step
+    if math.isnan(n_values) or n_values > MAX_VALUES:
+        raise ConfigError(
+            f"{override.input_line}: a sweep has at most {MAX_VALUES} values of a key"
+        )

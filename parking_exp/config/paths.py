@@ -50,6 +50,20 @@ def directory_path(text: str | Path) -> Path:
     return Path(os.path.normpath(Path(os.path.expanduser(text)).absolute()))  # noqa: PTH111
 
 
+def refuse_question_mark(path: Path) -> Path:
+    """Return a path that a sqlite URI can have.
+
+    Raises:
+        ConfigError: it has a question mark, at which such a URI ends.
+    """
+    if "?" in str(path):
+        raise ConfigError(
+            f"{path} has a question mark, at which the URI of a sqlite store ends; choose another "
+            "path"
+        )
+    return path
+
+
 def default_uri(output_dir: Path) -> str:
     """Return the URI of the embedded store of an output directory."""
     return f"{SQLITE}{output_dir / 'mlflow.db'}"

@@ -22,10 +22,12 @@ from pydantic import (
 )
 
 from parking_exp.config.paths import (
+    SQLITE,
     absolute,
     default_uri,
     directory_path,
     refuse_password,
+    refuse_question_mark,
 )
 from parking_exp.config.run_key import result_part, short_hash
 from parking_exp.config_model import (
@@ -47,7 +49,14 @@ def _check_store(uri: str) -> str:
             "it is not an MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking "
             "server"
         )
+    if uri.startswith(SQLITE):
+        refuse_question_mark(Path(absolute(uri)))
     return uri
+
+
+def _check_output_dir(text: str) -> str:
+    refuse_question_mark(directory_path(text))
+    return text
 
 
 Uri = Annotated[str, AfterValidator(_check_store)]
@@ -160,7 +169,7 @@ class SweepOptions(ConfigModel):
 class OutputConfig(ConfigModel):
     """The output directory, a key of each command."""
 
-    output_dir: LocalPath
+    output_dir: Annotated[LocalPath, AfterValidator(_check_output_dir)]
 
     @property
     def output_path(self) -> Path:

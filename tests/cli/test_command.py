@@ -228,3 +228,23 @@ def test_the_help_of_an_installed_command_names_it_and_where_its_keys_are_explai
     assert "  parking-status experiment=her_ablation watch=true\n" in shown
     assert f"Every key is explained in {ROOT}/conf/status.yaml." in shown
     assert "scripts" not in shown.replace(str(ROOT), "")
+
+
+@pytest.mark.parametrize("key", ["null: 3", "algorithm:\n  null: 3"])
+def test_a_key_that_is_null_is_one_sentence(tmp_path, key):
+    (tmp_path / "mine.yaml").write_text(f"# @package _global_\nexperiment_name: mine\n{key}\n")
+    done = call_script("train", "experiment=mine.yaml", cwd=tmp_path)
+    assert (
+        done.stderr
+        == "error: a config file has a key that is null or not a word; write it in quotes, as 'null'\n"
+    )
+
+
+def test_a_working_directory_that_was_deleted_is_one_sentence(tmp_path):
+    command, keywords = script("status", cwd=tmp_path)
+    inside = ["bash", "-c", 'mkdir gone && cd gone && rmdir ../gone && exec "$@"', "bash", *command]
+    done = subprocess.run(inside, check=False, capture_output=True, **keywords)
+    assert (
+        done.stderr
+        == "error: the working directory does not exist any more; change to one that does\n"
+    )

@@ -16,6 +16,7 @@ from support.sweep_processes import QUICK, SLOW, begin, stages, wait_until
 from parking_exp.training.signals import stop_on_signal
 from parking_exp.training.train_run import train
 
+CLOSED = ">&- 2>&- <&-"
 FULL = ">/dev/full 2>&1"
 ONE_LINE = "2>&1 | head -1"
 
@@ -39,13 +40,15 @@ def output_dir(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("redirected", slow_but([FULL], [FULL, ONE_LINE]))
+@pytest.mark.parametrize("redirected", slow_but([CLOSED], [CLOSED, FULL, ONE_LINE]))
 @pytest.mark.parametrize("seeds", slow_but(["seed=0"], ["seed=0", "seeds=2"]))
 def test_a_training_whose_output_is_lost_is_done(tmp_path, redirected, seeds):
     arguments = (*QUICK, seeds, "tracking.stdout=true", f"output_dir={tmp_path}")
     done = shell("train", *arguments, redirected=redirected)
     assert done.returncode == 0
     assert set(stages(tmp_path)) == {"done"}
+    config = next(tmp_path.glob("*/*/*/config.yaml")).read_text()
+    assert "env steps" not in config  # no file got the descriptor of a closed stream
 
 
 def test_a_training_goes_on_after_its_terminal_is_gone(tmp_path):
@@ -81,9 +84,16 @@ def test_a_training_that_python_calls_survives_lost_output(tmp_path, monkeypatch
     assert isinstance(sys.stdout, BrokenPipe)
 
 
+@pytest.mark.parametrize("name", ["status", "evaluate", "export", "report", "tune"])
+def test_help_survives_closed_streams(name, tmp_path):
+    assert shell(name, "--help", redirected=CLOSED, cwd=tmp_path).returncode == 0
+
+
 def test_commands_that_only_print_say_that_their_output_is_lost(output_dir):
     lost = shell("status", "json=true", f"output_dir={output_dir}", redirected=">/dev/full")
     assert (lost.returncode, lost.stderr) == (2, "error: No space left on device\n")
+    closed = shell("status", f"output_dir={output_dir}", redirected=CLOSED)
+    assert (closed.returncode, closed.stdout, closed.stderr) == (0, "", "")
 
 
 def test_watching_ends_when_nobody_reads_any_more(output_dir):

@@ -63,8 +63,18 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("seed=[1", "seed=[1"),
         ("seed=choice()", "seed=choice()"),
         ("seed=interval(0,1)", "seed=interval(0,1)"),
+        ("seed=range(1,5,0)", "step"),
+        ("seed=range(1,1000000000)", "at most 100000 values"),
+        ("seed=shuffle(range(1,1000000000))", "at most 100000 values"),
+        ("seed=range(0,1,1e-12)", "at most 100000 values"),
+        ("total_timesteps=" + "9" * 5000, "total_timesteps: Exceeds the limit (4300 digits)"),
         ("label=[a]", "a label is text"),
         ("label={a:1}", "a label is text"),
+        ("hydra.run.dir=elsewhere", "output_dir=DIR"),
+        ("hydra.job.chdir=true", "output_dir=DIR"),
+        ("+hydra.job.env_set.X=1", "environment variables in the shell"),
+        ("hydra.sweeper.params={seed: '1,2'}", "cells: "),
+        ("hydra.verbose=true", "only hydra/launcher"),
         ("experiment=nowhere.yaml", "nowhere.yaml"),
     ],
 )
@@ -236,3 +246,36 @@ def test_composing_leaves_an_outer_hydra_as_it_was():
         compose_configs("config", [])
         assert GlobalHydra.instance().hydra is before
     assert not GlobalHydra.instance().is_initialized()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (
+            "sweeper: {params: {seed: '1,2'}}",
+            "hydra.sweeper.params.seed=1,2 has no effect; list the values",
+        ),
+        (
+            "job: {chdir: true}",
+            "hydra.job.chdir=True has no effect; start the command in that directory",
+        ),
+        (
+            "job: {env_set: {X: 1}}",
+            "hydra.job.env_set.X=1 has no effect; set environment variables",
+        ),
+        ("run: {dir: elsewhere}", "hydra.run.dir=elsewhere has no effect; set output_dir=DIR"),
+    ],
+)
+def test_other_settings_of_hydra_in_a_file_are_refused(tmp_path, settings, words):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"# @package _global_\nhydra: {{{settings}}}\n")
+    with pytest.raises(ConfigError, match=rf"^{re.escape(words)}[^\n]*$"):
+        compose_configs("config", [f"experiment={path}"])
+
+
+@pytest.mark.parametrize("name", ["evaluate", "export", "report", "status"])
+def test_a_launcher_is_refused_by_commands_that_launch_nothing(name):
+    with pytest.raises(
+        ConfigError, match=r"^hydra/launcher=slurm has no effect; this command launches no runs"
+    ):
+        compose_configs(name, ["hydra/launcher=slurm"])

@@ -64,3 +64,16 @@ def test_a_command_with_a_secret_in_its_uri_is_refused_before_anything_is_writte
 )
 def test_a_uri_without_a_secret_is_accepted(uri):
     assert refuse_password(uri) == uri
+
+
+@pytest.mark.parametrize("argument", ["output_dir=outputs", "tracking.uri=sqlite:///store.db"])
+def test_a_path_with_a_question_mark_is_refused_before_anything_is_written(tmp_path, argument):
+    folder = tmp_path / "que?ue"
+    folder.mkdir()
+    done = call_script("train", "experiment=smoke", argument, cwd=folder)
+    assert done.returncode == 2
+    assert (
+        "has a question mark, at which the URI of a sqlite store ends; choose another path"
+        in done.stderr
+    )
+    assert [path.name for path in tmp_path.rglob("*")] == ["que?ue"]
