@@ -52,14 +52,15 @@ def check_trust(config: RunConfig, source: Path, option: str = "trust=true") -> 
     Raises:
         UntrustedError: a class or `_target_` is not on the list.
     """
-    if (unlisted := _unlisted_class(config)) is not None:
+    if (unlisted := unlisted_class(config)) is not None:
         raise UntrustedError(
-            f"{unlisted} in {source} is not on the allow-list; {option} allows it, if you trust "
-            "its author"
+            f"{unlisted} in {source} is not on the allow-list, and the run was not trained here; "
+            f"{option} allows it, "
+            "if you trust its author"
         )
 
 
-def _unlisted_class(config: RunConfig) -> str | None:
+def unlisted_class(config: RunConfig) -> str | None:
     """Return the first `key=class` of a config that is not on the allow-list, or None."""
     imported = [(f"env.{key}", path) for key, path in config.env.imports.items()]
     for key, target in [*_targets(config.plain()), *imported]:

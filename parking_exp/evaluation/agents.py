@@ -15,6 +15,7 @@ from parking_exp.runs.lookup import LATEST, find_run, find_runs_below
 from parking_exp.runs.run_files import CONFIG_FILE, read_config
 from parking_exp.runs.run_state import read_state
 from parking_exp.runs.state_tables import run_name
+from parking_exp.runs.trained_here import was_trained_here
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ def find_agent(
             f"run=latest     {run_name(read_state(directory.path))} of "
             f"experiment={config.experiment_name}"
         )
-    if not trust:
+    if not trust and not was_trained_here(directory.path):
         check_trust(config, directory.path / CONFIG_FILE, trust_option)
     return Agent(f"{model} model", config, weights, directory.path, directory)
 
@@ -138,7 +139,8 @@ def load_model(
         run: run directory, MLflow run id, `latest`, `pretrained` or `pretrained/NAME`.
         output_dir: where runs are looked for.
         model: which of a run's models.
-        trust: whether its config may name classes that are not on the list of known ones.
+        trust: whether its config may name classes that are not on the list of known ones. Those of
+            a run that you trained here may.
 
     Raises:
         ConfigError: its config can't be read, or a model of its class can't be restored exactly.

@@ -27,6 +27,7 @@ from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import TRACEBACK_FILE, RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import command_line, record_provenance
+from parking_exp.runs.trained_here import record_training
 from parking_exp.terminal import is_script, say, unfailing_output
 from parking_exp.tracking.mirror import follow_store
 from parking_exp.tracking.tracker import Tracker
@@ -69,6 +70,7 @@ def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
             say("already trained; its final model is evaluated again, with other settings")
             directory.reopen()
         directory.create(config)
+        record_training(directory.path, config)
         # Slurm signals every process of a job, and the supervisor passes its own signal on: the
         # checkpoint comes first.
         at_second = None if supervised else signal.default_int_handler
