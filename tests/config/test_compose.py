@@ -2,6 +2,7 @@
 is checked.
 """
 
+import re
 from pathlib import Path
 
 import hydra
