@@ -41,8 +41,10 @@ def read_weights(path: Path, device: torch.device) -> tuple[dict[str, Any], dict
     """Return all state dicts of a model file, and its single tensors, both by name.
 
     Raises:
-        ModelError: bytes are missing or changed, or it holds something other than weights.
+        ModelError: it is no file, is damaged, or holds something other than weights.
     """
+    if not path.is_file():
+        raise ModelError(f"{path} is not a file")
     with path.open("rb") as file:
         try:
             _, weights, variables = load_from_zip_file(file, load_data=False, device=device)

@@ -25,6 +25,7 @@ from omegaconf.errors import (
 )
 
 from parking_exp.config.cell_labels import settings_of
+from parking_exp.config.constructor_arguments import argument_hint
 from parking_exp.config.grid import MAX_RUNS, Block, Point, check_blocks, expand_points, seeds_of
 from parking_exp.config.hydra_settings import check_hydra_overrides, check_hydra_settings
 from parking_exp.config.overrides import (
@@ -40,7 +41,6 @@ from parking_exp.config.validate import validate
 from parking_exp.errors import (
     ConfigError,
     ParkingError,
-    did_you_mean,
     first_line,
     one_line,
     suggestion,
@@ -306,8 +306,10 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     path = next((path for path in settings_of(known) if f".{name}." in f"{path}."), None)
     if path is not None:  # a section was left out
         hint = f"; did you mean {f'{section}.{path.partition(name)[0]}{name}'.lstrip('.')!r}?"
-    elif "_target_" in known or not known:  # the class, or whatever reads it, may take other keys
-        hint = did_you_mean(name, known, cutoff=0.8) or f"; write ++{key}=VALUE to add it"
+    elif "_target_" in known:
+        hint = argument_hint(key, known)
+    elif not known:  # takes other keys, too
+        hint = f"; write ++{key}=VALUE to add it"
     else:
         hint = suggestion(name, known)
     option = f" in {section}={known['name']}" if section and "name" in known else ""

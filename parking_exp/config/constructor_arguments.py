@@ -7,6 +7,7 @@ without them is checked first.
 
 import inspect
 from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from importlib import import_module
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
@@ -15,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
-from parking_exp.errors import ConfigError, one_line, suggestion
+from parking_exp.errors import ConfigError, did_you_mean, one_line, suggestion
 
 # Base classes of the sections' classes.
 BASES = {
@@ -40,6 +41,7 @@ MIRRORED_POLICIES = (
     "stable_baselines3.td3.MultiInputPolicy",
 )
 PLAIN_TYPES = (int, float, bool, str, NoneType)
+SIMILAR = 0.8  # similarity from which on a name counts as misspelt
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps", "goal_selection_strategy"}
@@ -105,6 +107,23 @@ def takes(call: Any, name: str) -> bool:
     """Return whether a class or function accepts an argument."""
     parameters, is_open = _parameters(call)
     return is_open or name in parameters
+
+
+def argument_hint(key: str, node: Mapping[str, Any]) -> str:
+    """Say what to type instead of an unknown key of a node, whose class may take other keys."""
+    section, _, name = key.rpartition(".")
+    hint = did_you_mean(name, node, cutoff=SIMILAR)
+    if hint:
+        return hint
+    try:
+        parameters, _ = _parameters(import_object(node["_target_"]))
+    except ConfigError:
+        parameters = {}
+    arguments = set(parameters) - SET_BY_RUN.get(section, set())
+    similar = get_close_matches(name, sorted(arguments), n=1, cutoff=SIMILAR)
+    if similar and similar[0] != name:
+        return f"; did you mean '++{section}.{similar[0]}'?"
+    return f"; write ++{key}=VALUE to add it"
 
 
 def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator[str]:

@@ -7,12 +7,15 @@ was not interrupted. Nothing is unpickled.
 """
 
 import shutil
+import time
+import zipfile
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -31,6 +34,8 @@ from parking_exp.training import rollout_state
 
 BEST = "best.zip"
 STATE = "state.pt"
+EARLIEST = (1980, 1, 1, 0, 0, 0)
+LATEST = (2107, 12, 31, 23, 59, 58)
 ATTRIBUTES = (
     "num_timesteps",
     "_n_updates",
@@ -62,7 +67,7 @@ def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
         OSError: the disk is full; an earlier file is untouched.
     """
     with replacing(path) as temporary:
-        model.save(temporary, exclude=BUFFER_ENTRIES)
+        _write_zip(model, temporary, exclude=BUFFER_ENTRIES)
 
 
 def save(
@@ -82,7 +87,7 @@ def save(
     """
     target = directory / checkpoint_name(progress.step)
     with _new_directory(target) as folder:
-        model.save(folder / MODEL)
+        _write_zip(model, folder / MODEL)
         with (folder / BUFFER).open("wb") as file:
             np.savez(file, allow_pickle=False, **_buffer_state(model.replay_buffer))
         if best.exists():
@@ -172,6 +177,20 @@ def _new_directory(target: Path) -> Iterator[Path]:
         fsync(target.parent)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _write_zip(model: OffPolicyAlgorithm, path: Path, exclude: Iterable[str] = ()) -> None:
+    """Save a model with Stable-Baselines3, also where the clock is before 1980 or after 2107.
+
+    Zip files have no other times.
+    """
+    now = time.localtime(time.time())
+    possible = min(max(now[:6], EARLIEST), LATEST)
+    if possible == now[:6]:
+        model.save(path, exclude=exclude)
+        return
+    with patch.object(zipfile.time, "localtime", return_value=possible):  # type: ignore[attr-defined]
+        model.save(path, exclude=exclude)
 
 
 def _folders(directory: Path) -> list[Path]:

@@ -122,7 +122,20 @@ class Search:
         values = {}
         for key in self.request.search.space:
             values[key] = run.options.get(key) or OmegaConf.select(run.cell, key.lstrip("+"))
-        return open_study(self.folder, self.request.search, self.base, values)
+        return open_study(self.folder, self.request.search, self.base, values, self._hash_options())
+
+    def _hash_options(self) -> dict[str, str]:
+        """Return the run key with each option that trials choose from.
+
+        It changes with the contents of the option's file.
+        """
+        groups = self.compose({}).options
+        keys = {}
+        for group, dimension in self.request.search.space.items():
+            for option in dimension.ends if group in groups else []:
+                config = self.config({group: option}).model_copy(update={"seed": 0})
+                keys[f"{group}={option}"] = config.run_key
+        return keys
 
     def save(self) -> None:
         """Write `search.json`, from which other commands read the search."""

@@ -86,7 +86,11 @@ def storage_of(folder: Path) -> Any:
 
 
 def open_study(
-    folder: Path, search: SearchConfig, base: RunConfig, values: Mapping[str, Any]
+    folder: Path,
+    search: SearchConfig,
+    base: RunConfig,
+    values: Mapping[str, Any],
+    option_keys: Mapping[str, str],
 ) -> OpenStudy:
     """Return the study of a search; create it, with trial 0, if there is none.
 
@@ -94,9 +98,11 @@ def open_study(
         folder: of the experiment.
         base: the config that trials change.
         values: value of each key of the space in this config.
+        option_keys: run key with each option that trials choose from.
 
     Raises:
-        ConfigError: the study was made with another space, seeds, evaluation or base config.
+        ConfigError: the study was made with another space, seeds, evaluation, base config or
+            contents of an option.
         StoreError: the journal can't be read.
     """
     import optuna
@@ -108,21 +114,25 @@ def open_study(
             study = optuna.create_study(
                 storage=storage, study_name=name, direction="maximize", load_if_exists=True
             )
-            _check_definition(study, search, base)
+            _check_definition(study, {**_definition(search, base), **option_keys})
             if not study.trials:
                 _add_unchanged(study, search, values)
     return OpenStudy(study, storage, folder)
 
 
-def _check_definition(study: "Study", search: SearchConfig, base: RunConfig) -> None:
-    """Refuse a study whose trials are not comparable; note what a new one is made with."""
+def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
+    """Return what must not change for trials to be comparable."""
     definition: dict[str, Any] = {
         f"search.space.{key}": str(dimension) for key, dimension in search.space.items()
     }
     definition["search.tuning_seeds"] = search.tuning_seeds
     definition["evaluation.final_n_scenes"] = base.evaluation.final_n_scenes
     definition["base config"] = base.model_copy(update={"seed": 0}).run_key
+    return definition
 
+
+def _check_definition(study: "Study", definition: Mapping[str, Any]) -> None:
+    """Refuse a study whose trials are not comparable; note what a new one is made with."""
     known = study.user_attrs.get(DEFINITION)
     if known is None:
         study.set_user_attr(DEFINITION, definition)

@@ -107,3 +107,11 @@ def test_a_file_of_another_model_is_refused(content, tmp_path, overrides, named)
     path.write_bytes(content)
     with pytest.raises(ModelError, match=rf"^{path} .*{named}"):
         load_weights(path, built(*overrides))
+
+
+@pytest.mark.parametrize("now", [0.0, 1.6e8, 5e9])  # 1970, 1975, 2128
+def test_a_wrong_clock_keeps_no_model_from_being_saved(model, tmp_path, now, monkeypatch):
+    monkeypatch.setattr("time.time", lambda: now)
+    save_model(model, tmp_path / "model.zip")
+    load_weights(tmp_path / "model.zip", model)
+    assert (tmp_path / "model.zip").stat().st_size > 1000

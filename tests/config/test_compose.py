@@ -280,3 +280,23 @@ def test_a_launcher_is_refused_by_commands_that_launch_nothing(name):
         ConfigError, match=r"^hydra/launcher=slurm has no effect; this command launches no runs"
     ):
         compose_configs(name, ["hydra/launcher=slurm"])
+
+
+def test_arguments_that_a_class_of_the_users_own_takes_are_suggested(tmp_path, monkeypatch):
+    (tmp_path / "floor_sac.py").write_text(
+        "from stable_baselines3 import SAC\n"
+        "class FloorSAC(SAC):\n"
+        "    def __init__(self, *args, entropy_floor: float = 0.0, **rest):\n"
+        "        super().__init__(*args, **rest)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "conf" / "algorithm").mkdir(parents=True)
+    option = "defaults: [sac, _self_]\nname: floor_sac\n_target_: floor_sac.FloorSAC\n"
+    (tmp_path / "conf" / "algorithm" / "floor_sac.yaml").write_text(option)
+    for override, hint in (
+        ("algorithm.entropy_flor=2", "did you mean '++algorithm.entropy_floor'?"),
+        ("algorithm.entropy_floor=2", "write ++algorithm.entropy_floor=VALUE to add it"),
+        ("algorithm.learning_start=2", "did you mean 'learning_starts'?"),
+    ):
+        with pytest.raises(ConfigError, match=rf"{re.escape(hint)}$"):
+            compose_configs("config", ["algorithm=floor_sac", override], str(tmp_path / "conf"))

@@ -10,7 +10,7 @@ from support.runs import make_config, options
 from support.searches import user_search
 
 from parking_exp.errors import ConfigError, StoreError
-from parking_exp.tuning.search import Search, study_in
+from parking_exp.tuning.search import Search, _compose_groups, study_in
 
 SMOKE = ("search=smoke",)
 
@@ -113,3 +113,19 @@ def test_a_wrong_override_is_named(overrides, words):
 )  # fmt: skip
 def test_a_space_that_cannot_run_is_refused_before_anything_starts(tmp_path, changes, words):
     assert words in refused(user_search(tmp_path, **changes))
+
+
+def test_a_search_is_refused_once_an_option_that_it_chooses_from_has_other_contents(tmp_path):
+    option = tmp_path / "algorithm" / "mine.yaml"
+    option.parent.mkdir()
+    option.write_text("defaults: [sac, _self_]\nname: mine\n")
+    space = {"algorithm": {"choices": ["sac", "mine"]}}
+    search = user_search(tmp_path, [f"output_dir={tmp_path / 'outputs'}"], space=space)
+    search.open()
+    Search(search.overrides, search.extra_config_dir).open()
+    _compose_groups.cache_clear()  # as in another process
+    option.write_text("defaults: [sac, _self_]\nname: mine\ntau: 0.01\n")
+    with pytest.raises(
+        ConfigError, match=r"^the study mine was made with another algorithm=mine; restore that"
+    ):
+        Search(search.overrides, search.extra_config_dir).open()

@@ -19,7 +19,7 @@ VALUES = {"algorithm.gamma": 0.95}  # of the unchanged config
 
 
 def opened(tmp_path, search=None, values=VALUES):
-    return open_study(tmp_path / "test", search or settings(), base(tmp_path), values)
+    return open_study(tmp_path / "test", search or settings(), base(tmp_path), values, {})
 
 
 def finish(opened, n_trials, search=None, value=0.5):
@@ -130,7 +130,7 @@ def test_the_study_of_another_search_or_config_is_refused_and_what_differs_is_na
 ):
     opened(tmp_path)
     with pytest.raises(ConfigError, match=f"another {key};"):
-        open_study(tmp_path / "test", settings(**changes), base(tmp_path, override), VALUES)
+        open_study(tmp_path / "test", settings(**changes), base(tmp_path, override), VALUES, {})
 
 
 def test_a_journal_that_is_damaged_is_reported_in_one_sentence(tmp_path):
