@@ -1,4 +1,4 @@
-"""Policies of SAC and TD3 whose networks see one of two mirror images of a scene.
+"""Policies of SAC and TD3 whose networks see one of two mirror images of a task.
 
 The env's actions are not mirrored: an actor's output is mirrored after its network, a critic's
 action before it.
