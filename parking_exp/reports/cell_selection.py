@@ -50,7 +50,7 @@ class CellRuns:
 
     @property
     def key(self) -> tuple[str, str]:
-        """What identifies it, whatever its label."""
+        """Name the cell, whatever its label."""
         return self.experiment, self.name
 
     @property

@@ -1,4 +1,4 @@
-"""What exactly was run: versions, commits, machines and settings of a report's runs."""
+"""Collect the versions, commits, machines and settings of the runs of a report."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
