@@ -33,9 +33,8 @@ from parking_exp.terminal import say
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
 FULL_TABLES, PROVENANCE = DOCS / "full_tables.md", DOCS / "provenance.md"
-FIGURES = dict.fromkeys(
-    ("algorithms", "goal_tasks", "tutorial"), "learning_curves"
-)  # the others have final_success
+# The others have final_success.
+FIGURES = dict.fromkeys(("algorithms", "goal_tasks", "tutorial"), "learning_curves")
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
     "goal_tasks": ("env=point_maze",),
     "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),

@@ -28,11 +28,12 @@ from parking_exp.tasks.task import Policy
 from parking_exp.terminal import say
 
 N_SCENES = 500
+# And what each was trained for.
 AGENTS = {
     "default": "success",
     "parked": "parked",
     "crowded": "parked",
-}  # and what each was trained for
+}
 PARKED = next(metric for metric in METRICS if metric.name == "parked")
 
 
@@ -109,9 +110,8 @@ def evaluate(policy: Policy, config: ParkingConfig, perturbation: Perturbation) 
     shift = perturbation.shift_m * np.array([[1.0], [0.5]])
     simulator.state.position[:] += rng.uniform(-shift, shift, (2, N_SCENES))
     waiting = [np.zeros((N_SCENES, 2), np.float32)] * perturbation.delay
-    sigma = perturbation.noise / np.array(
-        [100, 100, 5, 5, 10, 10]
-    )  # in the scales of the observation
+    # In the scales of the observation.
+    sigma = perturbation.noise / np.array([100, 100, 5, 5, 10, 10])
     counts = {"success": 0, "crash": 0, "parked": 0}
     under_way = np.ones(N_SCENES, bool)
     while under_way.any():

@@ -16,9 +16,8 @@ from hydra.errors import HydraException
 from parking_exp.errors import ConfigError, first_line
 
 MAX_VALUES = 100_000  # of a range
-WORD = re.compile(
-    r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+"""
-)  # a quoted text, or what stands between commas
+# A quoted text, or what stands between commas.
+WORD = re.compile(r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+""")
 
 
 def config_dir() -> Path:
@@ -32,9 +31,8 @@ def config_dir() -> Path:
 
 def in_quotes(value: str) -> str:
     """Quote a string for Hydra's grammar."""
-    return (
-        "'" + re.sub(r"(\\+)(?='|\Z)", r"\1\1", value).replace("'", "\\'") + "'"
-    )  # backslashes escape only quotes
+    # Backslashes escape only quotes.
+    return "'" + re.sub(r"(\\+)(?='|\Z)", r"\1\1", value).replace("'", "\\'") + "'"
 
 
 def without_quotes(value: str) -> str:

@@ -184,9 +184,8 @@ class RunConfig(OutputConfig):
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     total_timesteps: Count
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)]
-    updates_per_step: Annotated[
-        float, Field(ge=0.001, le=1000)
-    ]  # 0.001: one update in 1,000 steps of each env
+    # 0.001: one update in 1,000 steps of each env.
+    updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]
     device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]
     torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
     precision: Literal["highest", "medium"]

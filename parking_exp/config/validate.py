@@ -85,9 +85,8 @@ def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
 
 def _sentence(error: Any, model: type[BaseModel]) -> str:
     """Say what is wrong with a value: an item of `ValidationError.errors()`."""
-    key = ".".join(
-        str(part) for part in error["loc"] if part not in TASKS
-    )  # pydantic adds the task to keys of `env`
+    # Pydantic adds the task to keys of `env`.
+    key = ".".join(str(part) for part in error["loc"] if part not in TASKS)
     reason = error["msg"].removeprefix("Value error, ")
     reason = reason[0].lower() + reason[1:]
     match error["type"]:

@@ -73,9 +73,8 @@ def write_export(
     for name, table in tables.items():
         text = table.to_csv(index=False, float_format="%.6g")
         with replacing(folder / name) as temporary:  # writes through no link
-            temporary.write_bytes(
-                gzip.compress(text.encode(), mtime=1)
-            )  # the same content gives the same bytes
+            # The same content gives the same bytes.
+            temporary.write_bytes(gzip.compress(text.encode(), mtime=1))
     sentences = [without_paths(problem) for problem in results.problems]
     write_json(folder / REPORT, {"problems": sentences, **(about or {})})
     return folder
@@ -109,9 +108,8 @@ def refuse_foreign(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"export={folder}: a file is in the way")
     names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
-    others = [
-        name for name in names if name not in FILES and not name.startswith(".tmp-")
-    ]  # of a killed export
+    # A killed export leaves files with `.tmp-` in front.
+    others = [name for name in names if name not in FILES and not name.startswith(".tmp-")]
     if others:
         raise ConfigError(
             f"export={folder}: it holds other files, e.g. {others[0]}; name a folder of its own"

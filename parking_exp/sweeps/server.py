@@ -22,9 +22,8 @@ def _set_handlers(handler: signal.Handlers) -> None:
 
 _set_handlers(signal.SIG_IGN)
 os.register_at_fork(after_in_child=lambda: _set_handlers(signal.SIG_DFL))
-signal.signal(
-    signal.SIGINT, signal.SIG_IGN
-)  # of Ctrl-C; `multiprocessing` ignores it after the imports only
+# `multiprocessing` ignores Ctrl-C after the imports only.
+signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
 gc.disable()  # imports are 0.8 s faster without it

@@ -156,11 +156,12 @@ def supervise_job(path: Path) -> None:
         KeyboardInterrupt: a signal stopped it; not an Exception, so that launchers start no further
             job.
     """
+    # Submitit sends the last when the time is nearly up.
     signals = (
         signal.SIGINT,
         signal.SIGTERM,
         signal.SIGUSR2,
-    )  # submitit sends the last when the time is nearly up
+    )
     with stop_on_signal(None, signals) as request:
         supervise(path, lambda: request.is_made)
     if request.is_made:

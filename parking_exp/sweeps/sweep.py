@@ -74,9 +74,8 @@ class PlannedRun:
 
 def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[PlannedRun]:
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
-    unique = {
-        id(run.cell): run.cell for run in composed
-    }  # a cell is checked once for all its seeds
+    # A cell is checked once for all its seeds.
+    unique = {id(run.cell): run.cell for run in composed}
     cells = {
         key: (config, config.run_dir.parent)
         for key, config in zip(unique, validate_all(unique.values()), strict=True)

@@ -121,9 +121,8 @@ def _check_steps(reward: GymnasiumReward, env_id: str) -> Iterator[str]:
         )
         return
     rows = np.array([[float(info[key]) for key in reward.info_keys] for info in infos])
-    relabelled, _ = reward(
-        achieved, desired, rows
-    )  # calls `compute_terminated`, whose error is then reported
+    # Calls `compute_terminated`, whose error is then reported.
+    relabelled, _ = reward(achieved, desired, rows)
     if not np.allclose(relabelled, computed, rtol=0, atol=TOLERANCE):
         yield (
             f"{env_id}: compute_reward depends on more than goals and the numbers in every info; "

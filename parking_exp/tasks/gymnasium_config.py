@@ -17,9 +17,8 @@ class GymnasiumConfig(TaskConfig):
     simulators: ClassVar[tuple[str, ...]] = ("gymnasium",)
     simulator: ClassVar[str] = "gymnasium"
     training_keys: ClassVar[tuple[str, ...]] = ("vectorization",)
-    training_seeds: ClassVar[range] = range(
-        2**30, 2**31 - MAX_ENVS
-    )  # simulators in C may take 31 bits
+    # Simulators in C may take 31 bits.
+    training_seeds: ClassVar[range] = range(2**30, 2**31 - MAX_ENVS)
 
     task: Literal["gymnasium"]
     id: Annotated[str, Field(pattern=ENV_ID_PATTERN)]

@@ -18,6 +18,7 @@ import numpy as np
 from parking_exp.errors import ConfigError, one_line, suggestion
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 
+# How ids of gymnasium-robotics begin.
 ROBOTICS = (
     "Fetch",
     "Hand",
@@ -25,7 +26,7 @@ ROBOTICS = (
     "AntMaze",
     "FrankaKitchen",
     "Adroit",
-)  # how ids of gymnasium-robotics begin
+)
 SUCCESS_KEYS = ("is_success", "success")
 RANDOM_STEPS = 60  # at least; see `random_steps`
 MAX_RANDOM_STEPS = 1_000

@@ -30,9 +30,8 @@ class Metric:
     """
 
     name: str  # of its column in `episodes.csv`; outcomes share the column `outcome`
-    of: Callable[
-        [Episode], bool | int | float
-    ]  # its value, computed from an episode that has ended
+    # Its value, computed from an episode that has ended.
+    of: Callable[[Episode], bool | int | float]
     label: str  # heading in tables
     unit: str = ""  # shown behind the label
     dtype: Literal["bool", "int64", "float64"] = "float64"  # of the column in frames

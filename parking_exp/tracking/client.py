@@ -58,9 +58,8 @@ def import_mlflow() -> None:
 
     for name in ("alembic", "mlflow"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    logging.getLogger("mlflow.store").setLevel(
-        logging.CRITICAL
-    )  # it prints the traceback of what it raises
+    # It prints the traceback of what it raises.
+    logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)
 
 
 @cache

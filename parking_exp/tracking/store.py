@@ -26,14 +26,16 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
+# MLflow's limits are 100 parameters, and 1,000 entries in all.
 METRICS_PER_BATCH, PARAMS_PER_BATCH = (
     800,
     100,
-)  # MLflow's limits are 100 parameters, and 1,000 entries in all
+)
+# One request for most stores; the latter is MLflow's limit.
 RUNS_PER_PAGE, EXPERIMENTS = (
     10_000,
     50_000,
-)  # one request for most stores; the latter is MLflow's limit
+)
 
 
 class Store:
@@ -139,9 +141,8 @@ class Store:
     def experiment_id(self, config: RunConfig) -> str:
         """Return the id of a run's experiment, which is made if need be."""
         name, location = config.experiment_name, None
-        tags = {
-            "mlflow.experimentKind": "custom_model_development"
-        }  # else the UI shows traces and prompts of GenAI
+        # Else the UI shows traces and prompts of GenAI.
+        tags = {"mlflow.experimentKind": "custom_model_development"}
         # A tracking server has its own place for artifacts; a database would put them into the
         # current directory.
         if not self.uri.startswith(("http", "databricks")):

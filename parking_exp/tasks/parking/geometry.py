@@ -18,9 +18,8 @@ _ROW_Y = 14.0
 SLOT_POSITIONS = np.stack(
     [np.concatenate([_ROW_X, _ROW_X]), np.repeat([_ROW_Y, -_ROW_Y], SLOTS_PER_ROW)], axis=-1
 )  # (28, 2) centres [m]
-SLOT_HEADINGS = np.repeat(
-    np.arctan2([SLOT_LENGTH_M, -SLOT_LENGTH_M], [0.0, 0.0]), SLOTS_PER_ROW
-)  # (28,) [rad]
+# (28,) [rad].
+SLOT_HEADINGS = np.repeat(np.arctan2([SLOT_LENGTH_M, -SLOT_LENGTH_M], [0.0, 0.0]), SLOTS_PER_ROW)
 N_SLOTS = len(SLOT_HEADINGS)
 
 # In highway-env's order: below, above, left, right. Each is a rectangle: centre, heading, length;

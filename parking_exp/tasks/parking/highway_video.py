@@ -30,9 +30,8 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
         lot: Any = env.unwrapped
         draw: Callable[[], np.ndarray] = lot.render
         images: list[np.ndarray] = []
-        lot.render = lambda: images.append(
-            draw()
-        )  # highway-env calls it between two policy steps, too
+        # highway-env calls it between two policy steps, too.
+        lot.render = lambda: images.append(draw())
         env.reset()
         # makes the viewer, whose camera would follow the car: keep the whole lot in sight instead
         lot.render()

@@ -36,9 +36,8 @@ def _check_vehicles_count(value: Any) -> Any:
 class ObservationConfig(ConfigModel):
     """highway-env's `observation` options, and how many other vehicles are seen."""
 
-    type: Literal[
-        "KinematicsGoal"
-    ]  # stored, so that highway-env accepts the `env` section of most configs
+    # stored, so that highway-env accepts the `env` section of most configs.
+    type: Literal["KinematicsGoal"]
     features: list[str]
     scales: list[PositiveFloat]
     normalize: bool
@@ -90,9 +89,8 @@ class ParkingConfig(TaskConfig):
     collision_reward: float
     steering_range: PositiveFloat
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
-    policy_frequency: Annotated[
-        int, Field(ge=1, le=100)
-    ]  # episode_steps() counts duration x policy_frequency steps
+    # episode_steps() counts duration x policy_frequency steps.
+    policy_frequency: Annotated[int, Field(ge=1, le=100)]
     duration: Duration
     vehicles_count: Annotated[Any, AfterValidator(_check_vehicles_count)]
     add_walls: bool

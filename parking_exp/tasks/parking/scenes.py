@@ -11,9 +11,8 @@ import numpy as np
 from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_PER_ROW
 
 NO_SLOT = -1  # of a car that is absent, where a scene has fewer than others
-AISLE_M = np.array(
-    [33.0, 8.5]
-)  # half the length and width of the area: within the walls, outside of the slots
+# Half the length and width of the area: within the walls, outside of the slots.
+AISLE_M = np.array([33.0, 8.5])
 START_M = 6.0  # distance from the middle of the lot, where the car starts
 
 # Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it
@@ -32,9 +31,8 @@ class Scenes:
 
     heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
     goal: np.ndarray  # goal slots, shape (n,)
-    vehicles: (
-        np.ndarray
-    )  # slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
+    # Slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
+    vehicles: np.ndarray
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
 
     def __len__(self) -> int:

@@ -42,9 +42,8 @@ class ParkingVecEnv(VecEnv):
     def reset(self) -> VecEnvObs:
         """Start a scene in every env and return the first observations."""
         if self._seeds[0] is not None:
-            self._rng = np.random.default_rng(
-                (self._seeds[0], 1)
-            )  # not the stream that scene s itself is drawn from
+            # Not the stream that scene s itself is drawn from.
+            self._rng = np.random.default_rng((self._seeds[0], 1))
             seeds = [s or 0 for s in self._seeds]
             self.simulator.start(
                 Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles)

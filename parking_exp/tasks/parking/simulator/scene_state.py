@@ -23,17 +23,14 @@ class SceneState:
     speed: np.ndarray  # signed, shape (n,) [m/s]
     crashed: np.ndarray  # shape (n,)
     steps: np.ndarray  # policy steps since the start, shape (n,)
-    vehicles: (
-        np.ndarray
-    )  # positions of the parked cars, shape (n, vehicles, 2) [m]; missing ones are far away
+    # Positions of the parked cars, shape (n, vehicles, 2) [m]; missing ones are far away.
+    vehicles: np.ndarray
     vehicle_heading: np.ndarray  # shape (n, vehicles) [rad]
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
-    hit: (
-        np.ndarray
-    )  # whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself
-    impact: (
-        np.ndarray
-    )  # what a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m]
+    # Whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself.
+    hit: np.ndarray
+    # What a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m].
+    impact: np.ndarray
     disturbed: np.ndarray  # whether a parked car has been hit, shape (n,)
 
     @classmethod
