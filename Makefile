@@ -20,7 +20,8 @@ PLACES = $(patsubst %,--default-index='%',$(call pip_setting,INDEX_URL,index-url
 	$(if $(filter 1 true yes on,$(call pip_setting,NO_INDEX,no-index)),--no-index) --index-strategy=unsafe-best-match
 # With PYTHONDONTWRITEBYTECODE, every process would compile torch again: compile once what runs and reports import.
 IMPORTED = from parking_exp import load, load_model, train; import highway_env, matplotlib.backends.backend_agg, optuna, torch._dynamo; \
-	import mlflow.store.artifact.local_artifact_repo, mlflow.store.tracking.sqlalchemy_store
+	import mlflow.store.artifact.local_artifact_repo, mlflow.store.tracking.sqlalchemy_store; \
+	import compileall, mlflow.store.db_migrations as m; compileall.compile_dir(m.__path__[0], quiet=1)
 COMPILE = $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -c '$(IMPORTED)')
 INSTALL = $(UV) pip install --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)
 

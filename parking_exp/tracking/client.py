@@ -7,10 +7,12 @@ the database. Its journal stays sqlite's own rollback journal: a write-ahead log
 between processes, which network file systems lack. Readers (`mlflow ui`) need no lock.
 """
 
+import gc
 import logging
 import os
 import sqlite3
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,16 +82,28 @@ def connect(uri: str) -> "MlflowClient":
 
     Raises whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
     """
-    import_mlflow()
-    path = database(uri)
-    if path is not None and not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with write_lock(
-            uri
-        ):  # processes that make the same store at once collide in MLflow's migrations
-            if not path.exists():
-                _make_database(path)
-    return open_client(uri)
+    with _no_garbage_collection():
+        import_mlflow()
+        path = database(uri)
+        if path is not None and not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # Processes that make the same store at once collide in MLflow's migrations.
+            with write_lock(uri):
+                if not path.exists():
+                    _make_database(path)
+        return open_client(uri)
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Pause garbage collection: it takes a quarter of the time of MLflow's imports."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def write_lock(uri: str) -> AbstractContextManager[Any]:
