@@ -102,7 +102,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
             return f"{key}: there is no such key{did_you_mean(name, known - {name})}"
         case "string_type" if isinstance(error["input"], int | float):
             return f"{key}={error['input']!r} is not text; put it in quotes, \"{key}='...'\""
-        case "union_tag_invalid" | "union_tag_not_found":
+        case "task":
             return f"{key}.task: {reason}"
         case "value_error":  # the message of one of our validators; the value may be a password
             return f"{key}: {reason}"

@@ -54,13 +54,11 @@ class Agent:
 
         It raises what `load_model` does. The model's env is one of the task.
         """
-        from stable_baselines3.common.vec_env import DummyVecEnv
-
         from parking_exp.algorithms.build_model import build_model
         from parking_exp.algorithms.model_files import load_weights
         from parking_exp.algorithms.policy_files import load_policy
 
-        env = DummyVecEnv([task.prediction_env])
+        env = task.prediction_env()
         model = build_model(self.config, task, env, seed=0, for_training=False)
         if self.directory is None:
             load_policy(self.weights, model)

@@ -41,7 +41,7 @@ def evaluate(
     rows: dict[int, dict[str, Any]] = {}
     for first in range(0, len(seeds), task.batch_size):
         batch_seeds = list(seeds[first : first + task.batch_size])
-        batch = task.evaluation_batch(batch_seeds, simulator or task.config.simulator)
+        batch = task.evaluation_batch(batch_seeds, simulator)
         _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_step)
 
     in_order = [rows[seed] for seed in seeds]

@@ -1,6 +1,6 @@
 """The `env` group of any goal environment that is registered with Gymnasium."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -56,26 +56,6 @@ class GymnasiumConfig(TaskConfig):
             if not _is_harmless(value)
         }
         return unsafe | ({"id": self.id} if ":" in self.id else {})
-
-    def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for the policy's features, or an argument of the buffer, that the task
-        does not support.
-        """
-        if features != "raw":
-            yield (
-                f"algorithm.features={features} is available for parking only; use "
-                "algorithm.features=raw"
-            )
-        if buffer.get("relabel_collision") == "keep":
-            yield (
-                "buffer.relabel_collision=keep needs the penalty for a failure, which is unknown; "
-                "use exclude or sb3"
-            )
-        if buffer.get("goal_velocity") == "zero":
-            yield (
-                "buffer.goal_velocity=zero needs to know which entries of a goal are velocities; "
-                "use achieved"
-            )
 
 
 def _is_harmless(value: object) -> bool:

@@ -20,29 +20,30 @@ from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.environment_checks import check_env, resumes_exactly
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import make_env
-from parking_exp.tasks.metrics import GYMNASIUM_METRICS, outcome
-from parking_exp.tasks.task import EvaluationBatch, Policy
+from parking_exp.tasks.metrics import outcome
+from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 from parking_exp.tasks.training_envs import ReplayActions
 from parking_exp.terminal import make_output_unfailing
 
 
-class GymnasiumTask:
+class GymnasiumTask(Task):
     """The task of a registered goal environment."""
 
-    metrics = GYMNASIUM_METRICS
-    failure = "failure"
-    monitored: tuple[str, ...] = ("is_success",)
     batch_size = 4  # each has an env of its own, which may take a second to make, and much memory
 
     def __init__(self, config: GymnasiumConfig) -> None:
         self.config = config
-        self.env_id = config.id
         self._envs: list[gym.Env] = []
+
+    @property
+    def env_id(self) -> str:
+        """Id of the environment."""
+        return self.config.id
 
     @property
     def frame_rate(self) -> int:
         """Frames per second of a video."""
-        return int(self.prediction_env().metadata.get("render_fps") or 30)
+        return int(self._any_env().metadata.get("render_fps") or super().frame_rate)
 
     def training_envs(self, n_envs: int) -> VecEnv:
         """Make training envs, in this process or in one each."""
@@ -51,7 +52,7 @@ class GymnasiumTask:
             return EnvProcesses([partial(_env_of_worker, self.config, spec)] * n_envs)
         return DummyVecEnv([lambda: ReplayActions(make_env(self.config))] * n_envs)
 
-    def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
+    def evaluation_batch(self, seeds: Sequence[int], simulator: str | None) -> EvaluationBatch:
         """Start the episodes of some seeds; envs are reused."""
         self._envs += [make_env(self.config) for _ in range(len(seeds) - len(self._envs))]
         return EnvBatch(self._envs[: len(seeds)], seeds, "is_failure")
@@ -62,8 +63,11 @@ class GymnasiumTask:
             env.close()
         self._envs.clear()
 
-    def prediction_env(self) -> gym.Env:
-        """Return an env."""
+    def prediction_env(self) -> VecEnv:
+        """Make one env, which evaluations use, too."""
+        return DummyVecEnv([self._any_env])
+
+    def _any_env(self) -> gym.Env:
         if not self._envs:
             self._envs.append(make_env(self.config))
         return self._envs[0]
@@ -86,12 +90,9 @@ class GymnasiumTask:
                 "bit-identically"
             )
 
-    def features(self, name: str) -> None:
-        """Return None, as there are raw features only."""
-
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield a frame for the start of each episode and each step, and one second of its end."""
-        if "rgb_array" not in self.prediction_env().metadata.get("render_modes", ()):
+        if "rgb_array" not in self._any_env().metadata.get("render_modes", ()):
             raise VideoError(f"no video: env.id={self.env_id} does not render to arrays")
         if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
             os.environ["MUJOCO_GL"] = _mujoco_backend()

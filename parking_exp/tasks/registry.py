@@ -2,11 +2,15 @@
 each.
 """
 
-from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Annotated
+import pkgutil
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field
+from pydantic import Discriminator, Tag
 
+from parking_exp.errors import ConfigError, one_line
+from parking_exp.tasks.custom_config import CLASS_PATH, CustomConfig
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric
 from parking_exp.tasks.parking import parking_metrics
@@ -15,9 +19,29 @@ from parking_exp.tasks.parking.parking_config import ParkingConfig
 if TYPE_CHECKING:
     from parking_exp.tasks.task import Task, TaskReport
 
-EnvConfig = Annotated[ParkingConfig | GymnasiumConfig, Field(discriminator="task")]
+CUSTOM = "a class"
+
+
+def _config_tag(env: Any) -> str | None:
+    """Return which config an `env` group has: one of ours by its name, or that of any class."""
+    task = env.get("task") if isinstance(env, Mapping) else getattr(env, "task", None)
+    if isinstance(task, str) and re.match(CLASS_PATH, task):
+        return CUSTOM
+    return task if task in ("parking", "gymnasium") else None
+
+
+EnvConfig = Annotated[
+    Annotated[ParkingConfig, Tag("parking")]
+    | Annotated[GymnasiumConfig, Tag("gymnasium")]
+    | Annotated[CustomConfig, Tag(CUSTOM)],
+    Discriminator(
+        _config_tag,
+        custom_error_type="task",
+        custom_error_message="it is neither 'parking', 'gymnasium' nor the dotted path of a class",
+    ),
+]
 """The `env` group: the config of one of the tasks, chosen by its key `task`."""
-TASKS = ("parking", "gymnasium")
+TASKS = ("parking", "gymnasium", CUSTOM)
 METRICS: tuple[Metric, ...] = tuple(dict.fromkeys((*parking_metrics.METRICS, *GYMNASIUM_METRICS)))
 """The metrics of all tasks. Those that a task does not have are missing for its runs."""
 OUTCOMES = tuple(metric.name for metric in METRICS if metric.is_outcome)
@@ -32,14 +56,33 @@ DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not
 
 
 def make_task(config: EnvConfig) -> "Task":
-    """Return the task that an `env` group describes."""
+    """Return the task that an `env` group describes.
+
+    Raises:
+        ConfigError: the class of another package can't be made.
+    """
     if isinstance(config, GymnasiumConfig):
         from parking_exp.tasks.gymnasium_task import GymnasiumTask
 
         return GymnasiumTask(config)
+    if isinstance(config, CustomConfig):
+        return _make_custom(config)
     from parking_exp.tasks.parking.parking_task import ParkingTask
 
     return ParkingTask(config)
+
+
+def _make_custom(config: CustomConfig) -> "Task":
+    from parking_exp.tasks.task import Task
+
+    try:
+        task_class = pkgutil.resolve_name(config.task)
+        if not (isinstance(task_class, type) and issubclass(task_class, Task)):
+            raise TypeError(f"it is not a subclass of {Task.__module__}.Task")
+        return task_class(**config.kwargs)
+    except Exception as error:  # whatever a module or a constructor raises
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise ConfigError(f"env.task={config.task}: {reason}") from error
 
 
 def task_reports(tasks: Iterable[str]) -> "Iterator[TaskReport]":

@@ -1,16 +1,16 @@
 """The task interface: how to train on a goal-conditioned task, evaluate it and judge an episode."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from parking_exp.tasks.metrics import Metric
-from parking_exp.tasks.task_config import TaskConfig
+from parking_exp.errors import VideoError
+from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric
 
 if TYPE_CHECKING:
-    import gymnasium as gym
     import pandas as pd
     from matplotlib.figure import Figure
     from stable_baselines3.common.vec_env import VecEnv
@@ -85,52 +85,81 @@ class EvaluationBatch(Protocol):
         """
 
 
-class Task(Protocol):
-    """A goal-conditioned task, made from its `env` group by `registry.make_task`."""
+class Task(ABC):
+    """A goal-conditioned task: how to train on it, evaluate a policy and judge an episode.
 
-    metrics: tuple[Metric, ...]  # of an evaluation episode; `success` is always there
-    failure: str  # the outcome of an episode that ends badly, by its name in this task
-    env_id: str
-    monitored: tuple[str, ...]  # entries of `info` that `monitor.csv` has of each training episode
-    batch_size: int  # evaluation episodes that are stepped together
+    A subclass defines `training_envs`, `evaluation_batch` and `episode_steps`. A task whose
+    episodes are rows of arrays is easier to write as a `VectorizedTask`.
 
-    @property
-    def config(self) -> TaskConfig:
-        """Its `env` group."""
+    Attributes:
+        metrics: of an evaluation episode; `success` is always there.
+        failure: the outcome of an episode that ends badly, by its name in this task.
+        monitored: entries of `info` that `monitor.csv` has of each training episode.
+        batch_size: evaluation episodes that are stepped together.
+    """
 
+    metrics: tuple[Metric, ...] = GYMNASIUM_METRICS
+    failure = "failure"
+    monitored: tuple[str, ...] = ("is_success",)
+    batch_size = 500
+
+    @abstractmethod
     def training_envs(self, n_envs: int) -> "VecEnv":
-        """Make training envs: `training_envs.get_state` can save them, and HER relabels with their
-        `goal_reward`.
+        """Make training envs.
+
+        HER relabels with their attribute `goal_reward`, a `GoalReward`. Checkpoints save their
+        state by the methods `get_state` and `set_state` of the VecEnv, or else of each env: nested
+        dicts and lists of arrays, numbers and text.
         """
 
-    def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
-        """Start the episodes of some seeds on one of the config's `simulators`."""
+    @abstractmethod
+    def evaluation_batch(self, seeds: Sequence[int], simulator: str | None) -> EvaluationBatch:
+        """Start the episodes of some seeds.
 
-    def close(self) -> None:
-        """Close the envs of evaluations."""
+        `simulator` is one of the config's `simulators`, or None for its `simulator`.
+        """
 
-    def prediction_env(self) -> "gym.Env":
-        """Make one env with the task's spaces, for a model that only predicts."""
+    @property
+    @abstractmethod
+    def episode_steps(self) -> int:
+        """The longest training episode, in steps."""
+
+    @property
+    def env_id(self) -> str:
+        """Name for messages and `monitor.csv`."""
+        return type(self).__name__
 
     @property
     def frame_rate(self) -> int:
         """Frames per second of `frames`."""
+        return 30
 
-    @property
-    def episode_steps(self) -> int:
-        """The longest training episode, in steps."""
+    def prediction_env(self) -> "VecEnv":
+        """Make one env with the task's spaces, for a model that only predicts."""
+        return self.training_envs(1)
+
+    def close(self) -> None:  # noqa: B027
+        """Close the envs of evaluations."""
 
     def problems(self) -> Iterator[str]:
         """Yield what is wrong with the environment itself; this may take seconds."""
+        yield from ()
 
     def notes(self) -> Iterator[str]:
         """Yield what a user should know when a training starts."""
+        yield from ()
 
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""
+        return None
 
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
-        """Yield the frames of a video of some episodes, shape (height, width, 3)."""
+        """Yield the frames of a video of some episodes, shape (height, width, 3).
+
+        Raises:
+            VideoError: the task draws no frames.
+        """
+        raise VideoError(f"no video: {self.env_id} draws no frames")
 
 
 @dataclass(frozen=True)

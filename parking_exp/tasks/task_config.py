@@ -53,4 +53,18 @@ class TaskConfig(ConfigModel):
         """Yield a sentence for the policy's features, or an argument of the buffer, that the task
         does not support.
         """
-        yield from ()
+        if features != "raw":
+            yield (
+                f"algorithm.features={features} is available for parking only; use "
+                "algorithm.features=raw"
+            )
+        if buffer.get("relabel_collision") == "keep":
+            yield (
+                "buffer.relabel_collision=keep needs the penalty for a failure, which is unknown; "
+                "use exclude or sb3"
+            )
+        if buffer.get("goal_velocity") == "zero":
+            yield (
+                "buffer.goal_velocity=zero needs to know which entries of a goal are velocities; "
+                "use achieved"
+            )

@@ -14,6 +14,8 @@ from support.marks import slow_but
 from support.runs import ROOT, call_script
 from support.store_factory import make_store
 
+from parking_exp import compose, train
+
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -149,6 +151,19 @@ def test_the_search_of_the_tuning_page_is_valid(tmp_path):
     assert "buffer.n_sampled_goal" in done.stdout
 
 
+def test_the_task_of_the_extending_page_is_learned(output_dir, tmp_path, monkeypatch):
+    for title, text in blocks(EXTENDING, "python") + blocks(EXTENDING, "yaml"):
+        if "reach" in title:
+            add(tmp_path / title, text)
+    monkeypatch.syspath_prepend(tmp_path)
+    few = ("n_envs=4", "algorithm.learning_starts=500", "algorithm.net_arch=[32,32]")
+    overrides = ("env=reach", "total_timesteps=3000", *few, f"output_dir={output_dir}")
+    config = compose(*overrides, "tracking.mlflow=false", config_dir=tmp_path / "my_conf")
+    metrics = train(config).metrics
+    assert metrics["final/success_rate"] >= 0.9  # of a policy that stands still: 0.01
+    assert -1 <= metrics["final/end_x_mean"] <= 1
+
+
 @pytest.mark.slow
 def test_the_examples_of_the_extending_page_run_and_appear_in_results(tmp_path):
     for folder in ("parking_exp", "conf", "scripts"):
@@ -166,7 +181,15 @@ def test_the_examples_of_the_extending_page_run_and_appear_in_results(tmp_path):
         "experiment_name=other",
     ]
     for command in commands(EXTENDING):
-        added = short if "my_tasks" in command else [] if "mine" in command else ["dry_run=true"]
+        added = (
+            short
+            if "my_tasks" in command
+            else []
+            if "env=reach" in command
+            else []
+            if "mine" in command
+            else ["dry_run=true"]
+        )
         words = [sys.executable, *shlex.split(f"scripts/{command}"), *added]
         subprocess.run(
             words,

@@ -1,6 +1,6 @@
 """The `env` group of parking-v0: highway-env's options under their own names, and some of ours."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PositiveFloat
@@ -162,3 +162,7 @@ class ParkingConfig(TaskConfig):
             )
         if self.policy_frequency > self.simulation_frequency:
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
+
+    def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
+        """Yield nothing: all features and all arguments of the buffer are supported."""
+        yield from ()

@@ -5,7 +5,6 @@ episodes.
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
 import numpy as np
 
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
@@ -14,13 +13,13 @@ from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
-from parking_exp.tasks.task import EvaluationBatch, Policy
+from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
 
-class ParkingTask:
+class ParkingTask(Task):
     """The parking task of an `env` group."""
 
     metrics = METRICS
@@ -31,7 +30,11 @@ class ParkingTask:
 
     def __init__(self, config: ParkingConfig) -> None:
         self.config = config
-        self.frame_rate = config.simulation_frequency
+
+    @property
+    def frame_rate(self) -> int:
+        """Frames per second: one for each frame of the simulation."""
+        return self.config.simulation_frequency
 
     def training_envs(self, n_envs: int) -> "VecEnv":
         """Make training envs."""
@@ -46,30 +49,23 @@ class ParkingTask:
             return ParkingVecEnv(config, n_envs)
         return DummyVecEnv([lambda: ReplayActions(make_env(config))] * n_envs)
 
-    def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
+    def evaluation_batch(self, seeds: Sequence[int], simulator: str | None) -> EvaluationBatch:
         """Start the scenes of some seeds: those of `env.reset(seed=s)` of highway-env."""
-        if simulator == "highway_env":
+        if (simulator or self.config.simulator) == "highway_env":
             return HighwayBatch(self.config, seeds)
         scenes = Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles)
         return Simulator(self.config, scenes)
 
-    def close(self) -> None:
-        """Do nothing: there is nothing to close."""
-
-    def prediction_env(self) -> gym.Env:
+    def prediction_env(self) -> "VecEnv":
         """Make one env of highway-env."""
-        return make_env(self.config)
+        from stable_baselines3.common.vec_env import DummyVecEnv
+
+        return DummyVecEnv([lambda: make_env(self.config)])
 
     @property
     def episode_steps(self) -> int:
         """The longest training episode, in steps."""
         return self.config.for_training().episode_steps()
-
-    def problems(self) -> Iterator[str]:
-        """Yield nothing: the config has been checked already."""
-        yield from ()
-
-    notes = problems
 
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""

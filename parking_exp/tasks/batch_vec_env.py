@@ -1,0 +1,150 @@
+"""Stable-Baselines3's VecEnv of episodes that are simulated together."""
+
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from parking_exp.config_model import TRAINING_SEEDS_START
+from parking_exp.tasks.task import GoalReward, Observation, Step
+
+TRAINING_SEEDS = (TRAINING_SEEDS_START, 2 * TRAINING_SEEDS_START)
+
+
+class TrainingBatch(Protocol):
+    """Episodes that are stepped together, of which each can start anew."""
+
+    def start(self, episodes: Any, rows: np.ndarray | None = None) -> None:
+        """Start other episodes, in all rows or in some."""
+
+    def observe(self, rows: Any = ...) -> Observation:
+        """Return the observations of all episodes, or of some."""
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Step all episodes; actions have the shape (n, actions)."""
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return a copy of the state."""
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Restore a state; what follows is identical."""
+
+
+class BatchVecEnv(VecEnv):
+    """VecEnv of a batch of episodes; an env starts a new episode when its own ends.
+
+    After `seed(s)`, `reset()` starts the episodes of the seeds s, s + 1, ...; later ones are drawn
+    by a generator seeded with s.
+    """
+
+    render_mode = None  # videos are made by the task
+
+    def __init__(
+        self,
+        simulator: TrainingBatch,
+        goal_reward: GoalReward,
+        n_envs: int,
+        observation_space: spaces.Dict,
+        action_space: spaces.Box,
+    ) -> None:
+        self.simulator = simulator
+        self.goal_reward = goal_reward
+        super().__init__(n_envs, observation_space, action_space)
+        self._rng = np.random.default_rng()
+        self._actions = np.zeros((n_envs, *action_space.shape))
+
+    def from_seeds(self, seeds: list[int]) -> Any:
+        """Return the episodes of some seeds, as the batch takes them to start."""
+        return seeds
+
+    def draw(self, rng: np.random.Generator, number: int) -> Any:
+        """Return random episodes, which no evaluation has."""
+        return rng.integers(*TRAINING_SEEDS, number).tolist()
+
+    def reset(self) -> VecEnvObs:
+        """Start an episode in every env and return the first observations."""
+        if self._seeds[0] is not None:
+            # Not the stream that the episode of seed s itself is drawn from.
+            self._rng = np.random.default_rng((self._seeds[0], 1))
+            episodes = self.from_seeds([seed or 0 for seed in self._seeds])
+        else:
+            episodes = self.draw(self._rng, self.num_envs)
+        self.simulator.start(episodes)
+        self._reset_seeds()
+        return self.simulator.observe()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take the actions of the next step, shape (n_envs, actions)."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step all envs. Where an episode ended, the observation is the next one's first."""
+        step = self.simulator.step(self._actions)
+        done = step.terminated | step.truncated
+        failure_key: Any = self.goal_reward.failure_key
+        infos: list[dict[str, Any]] = []
+        for success, failed in zip(step.is_success.tolist(), step.failed.tolist(), strict=True):
+            infos.append({"is_success": success, failure_key: failed})
+
+        ended = np.flatnonzero(done)
+        if len(ended):
+            for row in ended:
+                last = {key: value[row].copy() for key, value in step.observation.items()}
+                only_time = bool(step.truncated[row] and not step.terminated[row])
+                infos[row] |= {"terminal_observation": last, "TimeLimit.truncated": only_time}
+            self.simulator.start(self.draw(self._rng, len(ended)), ended)
+            for key, value in self.simulator.observe(ended).items():
+                step.observation[key][ended] = value
+        return step.observation, step.reward.astype(np.float32), done, infos
+
+    def get_state(self) -> dict[str, Any]:
+        """Return the whole state, the generator of episodes included."""
+        rng = self._rng.bit_generator.state
+        return {"simulator": self.simulator.get_state(), "rng": rng, "seeds": list(self._seeds)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restore a state; what follows is identical."""
+        self.simulator.set_state(state["simulator"])
+        self._rng.bit_generator.state = state["rng"]
+        self._seeds = list(state["seeds"])
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to close."""
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        """Return an attribute for each of the envs, which share it."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(
+        self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
+    ) -> None:
+        """Refuse: the envs share everything."""
+        raise NotImplementedError
+
+    def env_method(
+        self,
+        method_name: str,
+        *args: Any,
+        indices: int | Iterable[int] | None = None,
+        **kwargs: Any,
+    ) -> list[Any]:
+        """Call a method for each of the envs, such as `compute_reward`, which HER needs."""
+        return [getattr(self, method_name)(*args, **kwargs) for _ in self._get_indices(indices)]
+
+    def compute_reward(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None
+    ) -> np.ndarray:
+        """Return the reward of goals, without a penalty for failures.
+
+        Its shape is (batch,), that of the goals (batch, size of a goal).
+        """
+        return self.goal_reward(achieved_goal, desired_goal)[0]
+
+    def env_is_wrapped(
+        self, wrapper_class: type, indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
+        """Return that no env is wrapped."""
+        return [False for _ in self._get_indices(indices)]
