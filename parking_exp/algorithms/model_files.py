@@ -5,6 +5,7 @@ it is executed.
 """
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_getattr
 
+from parking_exp.algorithms.policy_files import ACTOR
 from parking_exp.errors import ModelError, one_line
 
 
@@ -37,7 +39,46 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
         ) from error
 
 
-def read_weights(path: Path, device: torch.device) -> tuple[dict[str, Any], dict[str, Any]]:
+def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
+    """Load the actor of a model file, of which nothing else has to fit.
+
+    Raises:
+        ModelError: the file is damaged, or has another actor.
+    """
+    actor = model.policy.get_submodule("actor")
+    weights = read_actor(path, model.device)
+    stored = _shapes(weights)
+    expected = _shapes(actor.state_dict())
+    for name in [*expected, *stored]:
+        shape = stored.get(name, "missing")
+        expected_shape = expected.get(name, "missing")
+        if shape != expected_shape:
+            raise ModelError(
+                f"{path} does not fit: its layer actor.{name} is {shape}, not {expected_shape}; "
+                "name the env that it was trained on (env=NAME), and its algorithm and policy "
+                "(algorithm=NAME algorithm.policy_kwargs.NAME=VALUE)"
+            )
+    actor.load_state_dict(weights)
+
+
+def read_actor(path: Path, device: torch.device | str) -> dict[str, torch.Tensor]:
+    """Return the weights of the actor in a model file, by name; raises as `read_weights`."""
+    weights, _ = read_weights(path, device)
+    policy = weights.get("policy")
+    actor: dict[str, torch.Tensor] = {}
+    if not isinstance(policy, Mapping):
+        return actor
+    for name, weight in policy.items():
+        if str(name).startswith(ACTOR) and isinstance(weight, torch.Tensor):
+            actor[name.removeprefix(ACTOR)] = weight
+    return actor
+
+
+def _shapes(weights: Mapping[str, torch.Tensor]) -> dict[str, str]:
+    return {name: f"of shape {tuple(weight.shape)}" for name, weight in weights.items()}
+
+
+def read_weights(path: Path, device: torch.device | str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return all state dicts of a model file, and its single tensors, both by name.
 
     Raises:

@@ -26,15 +26,16 @@ def read_overrides(words: list[str]) -> list[str]:
             the agent.
     """
     has_option = any(word.startswith("env=") for word in words)
+    has_model_file = any(word.startswith("run=") and ".zip" in word for word in words)
     for word in words:
         key, _, value = word.lstrip("+~").partition("=")
         section = key.replace("/", ".").partition(".")[0]
-        if section in TRAINING_KEYS:
+        if section in TRAINING_KEYS or (section == "algorithm" and not has_model_file):
             raise ConfigError(
                 f"{word} is a training key; {program('evaluate')} --help lists the keys of this "
                 "command"
             )
-        if f"{key}.".startswith("env.observation."):
+        if f"{key}.".startswith("env.observation.") and not has_model_file:
             raise ConfigError(f"{word}: the observation is always that of the agent's training")
         if key == "env.simulator":
             raise ConfigError(f"{word}: choose it by simulator={value}")
@@ -42,8 +43,7 @@ def read_overrides(words: list[str]) -> list[str]:
             raise ConfigError(
                 f"{word}: choose an option by env=NAME, and change its keys by env.KEY=VALUE"
             )
-    return (
-        words
-        if has_option
-        else [f"++{word}" if word.startswith("env.") else word for word in words]
-    )
+    changes = ["algorithm."]
+    if not has_option:
+        changes.append("env.")
+    return [f"++{word}" if word.startswith(tuple(changes)) else word for word in words]

@@ -37,9 +37,9 @@ class Agent:
 
     name: str  # as printed: `final model`, `pretrained agent default`
     config: RunConfig
-    weights: Path  # a model as Stable-Baselines3 saves it, or the actor's weights alone
+    weights: Path  # a model as Stable-Baselines3 saves it, or `POLICY_FILE`
     folder: Path  # where its evaluations and exports are written
-    directory: RunDirectory | None = None  # its run directory; None for a pretrained agent
+    directory: RunDirectory | None = None  # its run directory; None if there is none
 
     @property
     def label(self) -> str:
@@ -55,15 +55,17 @@ class Agent:
         It raises what `load_model` does. The model's env is one of the task.
         """
         from parking_exp.algorithms.build_model import build_model
-        from parking_exp.algorithms.model_files import load_weights
+        from parking_exp.algorithms.model_files import load_actor, load_weights
         from parking_exp.algorithms.policy_files import load_policy
 
         env = task.prediction_env()
         model = build_model(self.config, task, env, seed=0, for_training=False)
-        if self.directory is None:
+        if self.directory is not None:
+            load_weights(self.weights, model)
+        elif self.weights.name == POLICY_FILE:
             load_policy(self.weights, model)
         else:
-            load_weights(self.weights, model)
+            load_actor(self.weights, model)
         return model
 
 

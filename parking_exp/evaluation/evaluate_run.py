@@ -18,13 +18,19 @@ from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
 from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
+from parking_exp.evaluation.saved_models import find_saved_model, is_model_file
 from parking_exp.runs.directory import EVALUATIONS, SUMMARY_FILE, RunDirectory, write_summary
 from parking_exp.runs.metric_logs import EPISODES_FILE
 from parking_exp.tasks.registry import EnvConfig, make_task
 from parking_exp.tasks.task import Policy, Task
 from parking_exp.terminal import say
 
-TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {"env", "output_dir", "tracking"}
+TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {
+    "env",
+    "algorithm",
+    "output_dir",
+    "tracking",
+}
 """Keys of the recipe that an option of `env` may set."""
 DEFAULT_EPISODES = 100
 PRETRAINED_EPISODES = 20  # the cards of pretrained agents have the rates of 500
@@ -54,6 +60,8 @@ class EvaluationRequest(AgentRequest):
     tracking: ResultsTracking
     # An option of `env` with its changes, or changes of the env of training.
     env: dict[str, Any] | None = None
+    # Of a model file; options of `env` also bring one, for training.
+    algorithm: dict[str, Any] | None = None
 
     @property
     def seeds(self) -> range:
@@ -118,6 +126,12 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
     n_episodes = len(request.seeds)
     if request.env and "task" in request.env:
         check(EvaluatedEnv, {"env": request.env})
+    elif is_model_file(request.run):
+        raise ConfigError(
+            f"run={request.run}: name the env that the model is evaluated on, such as env=parking"
+        )
+    if is_model_file(request.run) and request.model != "final":
+        raise ConfigError(f"run={request.run}: a file has no model={request.model}; leave it out")
     if request.video > n_episodes:
         raise ConfigError(f"video={request.video} is above episodes; use at most {n_episodes}")
     if request.gif and not request.video:
@@ -131,7 +145,13 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
     find = cache(find_agents)  # once, for all the envs that they are evaluated on
     evaluations = []
     for request in requests:
-        for agent in find(request.run, request.output_path, request.model, trust=request.trust):
+        run = request.run
+        if is_model_file(run):
+            env = request.env or {}
+            agents = [find_saved_model(run, request.output_path, env, request.algorithm or {})]
+        else:
+            agents = find(run, request.output_path, request.model, trust=request.trust)
+        for agent in agents:
             evaluations.append(Evaluation(request, agent, choose_env(request, agent)))
     folders = {resolved(evaluation.folder) for evaluation in evaluations}
     if len(folders) < len(evaluations):

@@ -1,0 +1,247 @@
+"""Models of plain Stable-Baselines3, evaluated by their files."""
+
+import base64
+import json
+import os
+import pickle
+import shutil
+import zipfile
+from pathlib import Path
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers parking-v0)
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from stable_baselines3 import DDPG, SAC, TD3
+from stable_baselines3.common.save_util import load_from_zip_file
+from support.runs import call_script
+from support.user_features import DoubledExtractor
+
+from parking_exp.config.compose import compose_configs
+from parking_exp.evaluation.evaluate_run import validate_request
+from parking_exp.evaluation.saved_models import find_saved_model
+from parking_exp.runs.atomic_files import read_json
+from parking_exp.tasks.registry import make_task
+
+SCENES = range(6)
+EASY = 0.3  # success_goal_reward with which cars that hardly learned anything reach some goals
+MODELS = {
+    "sac": (SAC, {"policy_kwargs": {"net_arch": [16, 8], "activation_fn": torch.nn.Tanh}}),
+    "td3": (TD3, {"policy_kwargs": {"net_arch": [16, 8]}}),
+    "ddpg": (DDPG, {"policy_kwargs": {"net_arch": {"pi": [12], "qf": [16]}}}),
+    "gsde": (SAC, {"use_sde": True}),
+    "extractor": (SAC, {"policy_kwargs": {"features_extractor_class": DoubledExtractor}}),
+}
+EXTRACTOR = (
+    "algorithm.policy_kwargs.features_extractor_class=support.user_features.DoubledExtractor"
+)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A model that was trained for a few hundred steps by Stable-Baselines3 alone, and its file."""
+    env = gym.make("parking-v0")
+    model = SAC(
+        "MultiInputPolicy",
+        env,
+        seed=0,
+        learning_starts=100,
+        buffer_size=1000,
+        policy_kwargs={"net_arch": [16, 8], "activation_fn": torch.nn.Tanh},
+    )
+    model.learn(300)
+    path = tmp_path_factory.mktemp("elsewhere") / "model.zip"
+    model.save(path)
+    return model, path
+
+
+def save(folder, name):
+    """Make and save an untrained model: the model, and its file."""
+    algorithm, arguments = MODELS[name]
+    env = gym.make("parking-v0")
+    model = algorithm("MultiInputPolicy", env, seed=1, buffer_size=10, **arguments)
+    path = folder / f"{name}.zip"
+    model.save(path)
+    return model, path
+
+
+def evaluate(path, output_dir, *arguments):
+    return call_script("evaluate", f"run={path}", f"output_dir={output_dir}", *arguments)
+
+
+def restored(path, output_dir, *arguments):
+    """Return the model that evaluate.py loads."""
+    words = [f"run='{path}'", f"output_dir='{output_dir}'", "env=parking", *arguments]
+    request = validate_request(compose_configs("evaluate", words)[0])
+    agent = find_saved_model(request.run, request.output_path, request.env, request.algorithm or {})
+    return agent.model(make_task(agent.config.env))
+
+
+def change(path, name, content):
+    """Replace a member of a zip."""
+    with zipfile.ZipFile(path) as archive:
+        members = {member: archive.read(member) for member in archive.namelist()}
+    members[name] = content
+    with zipfile.ZipFile(path, "w") as archive:
+        for member, data in members.items():
+            archive.writestr(member, data)
+
+
+class Executes:
+    """Is pickled as a call that makes a directory."""
+
+    def __init__(self, path):
+        self.path = str(path)
+
+    def __reduce__(self):
+        return os.makedirs, (self.path, 0o777, True)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_its_actions_are_those_of_predict(name, tmp_path):
+    model, path = save(tmp_path, name)
+    options = [f"++{EXTRACTOR}"] if name == "extractor" else []
+    loaded = restored(path, tmp_path, *options)
+    rng = np.random.default_rng(0)
+    observation = {key: rng.normal(size=(50, 6)) for key in model.observation_space}
+    expected, _ = model.predict(observation, deterministic=True)
+    actions, _ = loaded.predict(observation, deterministic=True)
+    np.testing.assert_array_equal(actions, expected)
+    assert np.ptp(actions, axis=0).min() > 0.01  # they depend on the observation
+
+
+def test_episodes_are_those_of_a_loop_in_gymnasium(trained, tmp_path):
+    model, path = trained
+    env = gym.make("parking-v0", config={"success_goal_reward": EASY})
+    expected = []
+    for scene in SCENES:
+        observation, info = env.reset(seed=scene)
+        steps, total = 0, 0.0
+        done = False
+        while not done:
+            action, _ = model.predict(observation, deterministic=True)
+            observation, reward, terminated, truncated, info = env.step(action)
+            steps += 1
+            total += reward
+            done = terminated or truncated
+        expected.append((steps, total, info["is_success"]))
+    arguments = ("env=parking", f"env.success_goal_reward={EASY}", f"episodes={len(SCENES)}")
+    done = evaluate(path, tmp_path, *arguments, "algorithm=sac", "video=1")
+    assert done.returncode == 0, done.stderr
+    (folder,) = tmp_path.glob("models/model-*/evaluations/*")
+    table = pd.read_csv(folder / "episodes.csv")
+    steps, total, success = zip(*expected, strict=True)
+    assert table["steps"].tolist() == list(steps)
+    np.testing.assert_allclose(table["return"], total, rtol=1e-4)
+    rate = np.mean(success)
+    assert 0 < rate < 1
+    assert read_json(folder / "summary.json")["success_rate"] == rate
+    assert f"{path} on 6 episodes of parking, from seed 0, simulated by highway_env" in done.stdout
+    assert (folder / "video.mp4").stat().st_size > 1000
+
+
+def test_several_envs_make_a_table(trained, tmp_path):
+    _, path = trained
+    arguments = ("env=parking", "env.vehicles_count=0,9", "episodes=2", "simulator=vectorized")
+    done = evaluate(path, tmp_path, *arguments)
+    assert done.returncode == 0, done.stderr
+    assert len(list(tmp_path.glob("models/model-*/evaluations/*/episodes.csv"))) == 2
+    rows = [line.split() for line in done.stdout.splitlines()[-2:]]
+    assert [row[2] for row in rows] == ["vehicles_count=0", "vehicles_count=9"]
+
+
+def test_nothing_pickled_in_a_file_is_executed(trained, tmp_path):
+    path = Path(shutil.copy(trained[1], tmp_path))
+    trace = tmp_path / "executed"
+    with zipfile.ZipFile(path) as archive:
+        data = json.loads(archive.read("data"))
+    pickled = base64.b64encode(pickle.dumps(Executes(trace))).decode()
+    for key in ("policy_class", "observation_space", "policy_kwargs", "lr_schedule"):
+        data[key][":serialized:"] = pickled
+    change(path, "data", json.dumps(data))
+    load_from_zip_file(path)  # as Stable-Baselines3 does
+    assert trace.exists()
+    trace.rmdir()
+    arguments = ("env=parking", "episodes=1", "simulator=vectorized")
+    done = evaluate(path, tmp_path, *arguments)
+    assert done.returncode == 0, done.stderr
+    assert not trace.exists()
+
+    change(path, "policy.pth", pickle.dumps(Executes(trace)))
+    done = evaluate(path, tmp_path, *arguments)
+    assert done.stderr.startswith(f"error: {path} is damaged (Weights only load failed")
+    assert not trace.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ((), "name the env that the model is evaluated on, such as env=parking"),
+        (("env=parking", "model=best"), "a file has no model=best; leave it out"),
+        (
+            ("env=parking", "algorithm=td3"),
+            "its layer actor.mu.0.weight is missing, not of shape (16, 18); name the env",
+        ),
+        (
+            ("env=parking", "env.observation.vehicles_count=2"),
+            "its layer actor.latent_pi.0.weight is of shape (16, 18), not of shape (16, 28);",
+        ),
+        (
+            ("env=parking", "algorithm.policy_kwargs.activation=torch.nn.ReLU"),
+            "there is no such key; did you mean 'activation_fn'?",
+        ),
+        (("env=parking", "total_timesteps=3"), "total_timesteps=3 is a training key"),
+    ],
+)
+def test_what_does_not_fit_is_said_in_a_sentence(words, reason, trained, tmp_path):
+    done = evaluate(trained[1], tmp_path, *words)
+    assert done.returncode == 2
+    assert reason in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_argument_that_is_pickled_has_to_be_passed(tmp_path):
+    _, path = save(tmp_path, "extractor")
+    done = evaluate(path, tmp_path, "env=parking")
+    assert done.stderr == (
+        f"error: {path} was trained with policy_kwargs features_extractor_class=<class "
+        "'support.user_features.DoubledExtractor'>, which is pickled there; pass "
+        "algorithm.policy_kwargs.features_extractor_class=VALUE\n"
+    )
+    done = evaluate(path, tmp_path, "env=parking", EXTRACTOR, "episodes=1", "simulator=vectorized")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("data", b"{", "is damaged (Expecting property name"),
+        ("data", b"[]", "is damaged (data is no object)"),
+        ("data", b"[" * 100_000, "is damaged (maximum recursion depth exceeded"),
+        ("policy.pth", b"", "is damaged ("),
+        (None, b"no zip", "is damaged ("),
+    ],
+)
+def test_damaged_files_are_named(name, content, reason, trained, tmp_path):
+    path = Path(shutil.copy(trained[1], tmp_path))
+    if name is None:
+        path.write_bytes(content)
+    else:
+        change(path, name, content)
+    done = evaluate(path, tmp_path, "env=parking")
+    assert done.returncode == 2
+    assert f"error: {path} {reason}" in done.stderr
+    path.unlink()
+    done = evaluate(path, tmp_path, "env=parking")
+    assert done.stderr == f"error: run={path}: there is no such file\n"
+    os.mkfifo(path)
+    done = evaluate(path, tmp_path, "env=parking")
+    assert done.stderr == f"error: run={path}: there is no such file\n"
+
+
+def test_a_run_has_its_algorithm(tmp_path):
+    done = evaluate("latest", tmp_path, "algorithm=sac")
+    assert "algorithm=sac is a training key" in done.stderr
