@@ -126,7 +126,8 @@ def evaluate(policy: Policy, config: ParkingConfig, perturbation: Perturbation) 
         for row in np.flatnonzero(under_way & (step.terminated | step.truncated)):
             ending = outcome("crash", bool(step.failed[row]), bool(step.is_success[row]))
             counts[ending] = counts.get(ending, 0) + 1
-            counts["parked"] += bool(PARKED.of(Episode(ending, 0, 0.0, simulator.ending(int(row)))))
+            episode = Episode(ending, 0, 0.0, simulator.ending(int(row)), {})
+            counts["parked"] += bool(PARKED.of(episode))
         under_way &= ~(step.terminated | step.truncated)
     return {name: count / N_SCENES for name, count in counts.items()}
 

@@ -138,7 +138,9 @@ def _run_batch(
         for index in np.flatnonzero(done).tolist():
             seed = int(seeds[index])
             ending = outcome(task.failure, bool(step.failed[index]), bool(step.is_success[index]))
-            episode = Episode(ending, steps, float(returns[index]), batch.ending(index))
+            total_reward = float(returns[index])
+            info = {"is_success": bool(step.is_success[index]), **batch.info(index)}
+            episode = Episode(ending, steps, total_reward, batch.ending(index), info)
             values = {metric.name: metric.of(episode) for metric in task.metrics}
             rows[seed] = {EPISODE_SEED: seed, "outcome": ending, **values}
 

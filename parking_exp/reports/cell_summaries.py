@@ -26,7 +26,7 @@ from parking_exp.statistics import (
     wilson_interval,
 )
 from parking_exp.tasks.metrics import Metric
-from parking_exp.tasks.registry import FAILURES, METRICS, task_reports
+from parking_exp.tasks.registry import FAILURES, METRICS, added_metrics, task_reports
 
 SUCCESS_THRESHOLD = 0.9
 RELIABLE = 0.95  # final success of a seed
@@ -38,7 +38,8 @@ REPORTED: dict[str, Metric] = {
     if metric.in_reports
 }
 """Metrics of reports by their names in `Cell` and `RunSummary`."""
-FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(RunSummary)}]
+FIELDS = {field.name for field in fields(RunSummary)}
+FURTHER = [name for name in REPORTED if name not in FIELDS]
 """Those without a field of their own, which only some tasks have."""
 
 
@@ -73,10 +74,10 @@ def summarise_cell(
     seeds = [_summarise_run(run, evaluations) for run in cell.done.to_dict("records")]
     success = [seed.success for seed in seeds if seed.success is not None]
     n_episodes = min((seed.n_episodes or 0 for seed in seeds), default=0) or None
-    means = {
-        name: _average([seed.metric(name) for seed in seeds], metric.is_rate, n_episodes)
-        for name, metric in REPORTED.items()
-    }
+    means = {}
+    for name in [*REPORTED, *added_metrics(cell.done.columns)]:
+        values = [seed.metric(name) for seed in seeds]
+        means[name] = _average(values, is_rate(name), n_episodes)
     return Cell(
         id=cell_id,
         label=cell.label,
@@ -99,8 +100,26 @@ def summarise_cell(
     )
 
 
+def is_rate(name: str) -> bool:
+    """Return whether a metric of reports is a rate; the name of a user's is its key."""
+    metric = REPORTED.get(name)
+    return name.endswith("_rate") if metric is None else metric.is_rate
+
+
+def heading(name: str) -> str:
+    """Return the heading of a metric of reports; of a user's, the store has the name alone."""
+    metric = REPORTED.get(name)
+    if metric is not None:
+        return metric.heading
+    if is_rate(name):
+        return f"{name.removesuffix('_rate')} (%)"
+    return name.removesuffix("_mean")
+
+
 def _summarise_run(run: Mapping[Any, Any], evaluations: RunEvaluations) -> RunSummary:
-    metrics = {name: finite_or_none(run[metric.run_column]) for name, metric in REPORTED.items()}
+    columns = {name: metric.run_column for name, metric in REPORTED.items()}
+    columns |= {name: name for name in added_metrics(run)}
+    metrics = {name: finite_or_none(run[column]) for name, column in columns.items()}
     success = metrics["success"]
     run_id = run["run_id"]
     n_episodes = len(evaluations.final.get(run_id, ())) or _to_int(run["n_scenes"])
@@ -122,10 +141,13 @@ def _summarise_run(run: Mapping[Any, Any], evaluations: RunEvaluations) -> RunSu
 
 def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a seed or a cell that hold metrics, without those of other tasks."""
-    own = {name: value for name, value in values.items() if name not in FURTHER}
-    unknown = (None, Interval(None))
-    further = {name: values[name] for name in FURTHER if values[name] not in unknown}
-    return {**own, "further": further}
+    metric_fields: dict[str, Any] = {"further": {}}
+    for name, value in values.items():
+        if name in FIELDS:
+            metric_fields[name] = value
+        elif value not in (None, Interval(None)):
+            metric_fields["further"][name] = value
+    return metric_fields
 
 
 def _measure_curve(curve: pd.DataFrame | None) -> dict[str, Any]:

@@ -56,6 +56,9 @@
     distance_m, heading_error_rad, speed_mps
                             float64   absolute values at its end, of parking
 
+Metrics of users (`env.metrics`) come after the others: NAME_rate or NAME_mean in `runs`, before
+versions, and in `curves`; NAME in `episodes`.
+
 A column that a run's task does not have is missing in its rows. phase, step, scene and outcome are
 always there.
 

@@ -26,10 +26,12 @@ from parking_exp.results.frames import (
     Results,
     as_results_error,
     config_column,
+    typed_curves,
 )
 from parking_exp.results.run_logs import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
 from parking_exp.runs.atomic_files import read_json, replacing, write_json
 from parking_exp.tasks.metrics import EPISODE_SEED
+from parking_exp.tasks.registry import added_metrics
 
 REPORT = "report.json"
 FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", REPORT)
@@ -96,11 +98,10 @@ def read_export(folder: str | Path) -> Results:
         curves = pd.read_csv(
             folder / "curves.csv.gz", dtype=CURVE_TYPES, float_precision="round_trip"
         )
-        curves = curves[curves["run_id"].isin(runs["run_id"])].sort_values(
-            ["run_id", "step"], ignore_index=True
-        )
+        curves = typed_curves(curves[curves["run_id"].isin(runs["run_id"])])
+        curves = curves.sort_values(["run_id", "step"], ignore_index=True)
         episodes = _read_episodes(folder / "outcomes.csv.gz", runs)
-        return Results(runs, curves.reindex(columns=[*CURVE_TYPES]), episodes, uri, problems, about)
+        return Results(runs, curves, episodes, uri, problems, about)
 
 
 def refuse_foreign(folder: Path) -> None:
@@ -156,9 +157,9 @@ def _read_runs(path: Path) -> pd.DataFrame:
             runs[name] = config_column(texts, name.removeprefix("config."))
     others.sort(key=lambda name: name.startswith("config."))
     of_other_tasks = {name: np.nan for name in FINAL.values() if name not in runs}
-    return runs.assign(run_dir=None, artifact_uri=None, **of_other_tasks)[
-        [*RUN_TYPES, *others]
-    ].astype(RUN_TYPES)
+    whole = runs.assign(run_dir=None, artifact_uri=None, **of_other_tasks)
+    columns = RUN_TYPES | dict.fromkeys(added_metrics(runs.columns), "float64")
+    return whole[[*columns, *others]].astype(columns)
 
 
 def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:

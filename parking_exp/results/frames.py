@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -24,7 +25,7 @@ from parking_exp.results.run_logs import (
 )
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
 from parking_exp.runs.run_files import CONFIG_FILE
-from parking_exp.tasks.registry import METRICS
+from parking_exp.tasks.registry import METRICS, added_metrics
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.mirror import prepare
 from parking_exp.tracking.store import Store
@@ -57,7 +58,7 @@ RUN_TYPES: dict[str, Any] = {
     "git_dirty": "boolean",
     "cpu": TEXT,
 }
-"""Columns of `runs` before those of versions and config, and their types."""
+"""Columns of `runs` before metrics of users, versions and config, and their types."""
 
 DOWNLOADS_AT_ONCE = 16
 RATE = re.compile(r"^\d+\.\d% ")  # in front of the names of finished runs
@@ -129,7 +130,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     runs = _with_configs(runs, configs)
     logs, log_problems = _read_files(store, runs, METRICS_FILE, read_points)
     points = [{"run_id": run_id, **point} for run_id, log in logs.items() for point in log]
-    curves = pd.DataFrame(points, columns=[*CURVE_TYPES]).astype(CURVE_TYPES)
+    curves = typed_curves(pd.DataFrame(points))
     curves = curves.dropna(how="all", subset=[*CURVE.values()]).sort_values(
         ["run_id", "step"], ignore_index=True
     )
@@ -141,11 +142,21 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
         store, runs[runs["status"] != "running"], EPISODES_FILE, read_episodes
     )
     run_ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
-    none = pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)
+    types = dict(EPISODES)
+    for table in tables.values():
+        for name, dtype in table.dtypes.items():
+            types.setdefault(str(name), dtype)
+    none = pd.DataFrame(columns=["run_id", *types]).astype(types)
     parts = [none, *(table.assign(run_id=run_id) for run_id, table in tables.items())]
     episodes = pd.concat(parts, ignore_index=True).astype({"run_id": run_ids, **CATEGORIES})
     problems = (*_duplicates(runs), *config_problems, *log_problems, *table_problems)
     return Results(runs, curves, episodes, store.uri, problems)
+
+
+def typed_curves(curves: pd.DataFrame) -> pd.DataFrame:
+    """Return curves with the columns and types of `Results.curves`."""
+    types = CURVE_TYPES | dict.fromkeys(added_metrics(curves.columns), "float64")
+    return curves.reindex(columns=[*types]).astype(types)
 
 
 @contextmanager
@@ -205,10 +216,15 @@ def _runs(
     stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]
 ) -> pd.DataFrame:
     """Return `Results.runs` without what comes from files: the config and `steps`."""
+    keys = chain.from_iterable(run.data.metrics for run in stored)
+    added = added_metrics(keys, "final/")
+    final_keys = FINAL | {f"final/{name}": name for name in added}
+    types = RUN_TYPES | dict.fromkeys(added, "float64")
+
     rows = []
     for run in stored:
         info, tags, metrics = run.info, run.data.tags, run.data.metrics
-        final = FINAL if tags["status"] == "done" else {}
+        final = final_keys if tags["status"] == "done" else {}
         path = run_dir(run)
         rows.append(
             {
@@ -227,7 +243,7 @@ def _runs(
             | {"run_dir": str(path) if path else None, "artifact_uri": info.artifact_uri}
             | {"git_dirty": {"true": True, "false": False}.get(tags.get("git_dirty", ""))}
         )
-    runs = pd.DataFrame(rows, columns=[*RUN_TYPES], dtype=object)
+    runs = pd.DataFrame(rows, columns=[*types], dtype=object)
     for name in ("started", "ended"):
         runs[name] = pd.to_datetime(
             runs[name].astype("Int64"), unit="ms", utc=True, errors="coerce"
@@ -239,7 +255,7 @@ def _runs(
         name: pd.Series([run.data.tags.get(name) for run in stored], dtype=TEXT)
         for name in versions
     }
-    runs = pd.concat([runs.astype(RUN_TYPES), pd.DataFrame(described)], axis=1)
+    runs = pd.concat([runs.astype(types), pd.DataFrame(described)], axis=1)
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 
 

@@ -16,7 +16,7 @@ from parking_exp.config.cell_labels import Config, settings_of
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.runs.atomic_files import parse_plain_yaml
 from parking_exp.tasks.metrics import EPISODE_SEED
-from parking_exp.tasks.registry import DTYPES, METRICS, OUTCOMES
+from parking_exp.tasks.registry import DTYPES, METRICS, OUTCOMES, added_metrics
 
 CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
 CURVE_KEYS = {**CURVE, "time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
@@ -25,7 +25,7 @@ CURVE_TYPES: dict[str, Any] = {
     "step": "int64",
     **dict.fromkeys(CURVE_KEYS.values(), "float64"),
 }
-"""Columns of `Results.curves`, and their types."""
+"""Columns of `Results.curves` before metrics of users, and their types."""
 REQUIRED: dict[str, Any] = {
     "phase": pd.CategoricalDtype(["eval", "final", "certified"]),
     "step": "int64",
@@ -34,7 +34,7 @@ REQUIRED: dict[str, Any] = {
 }
 """Columns of episodes that every task has; each task lacks some of the others."""
 EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
-"""Columns of `Results.episodes` after the run id, and their types."""
+"""Columns of `Results.episodes` between the run id and metrics of users, and their types."""
 CATEGORIES = {
     name: kind for name, kind in EPISODES.items() if isinstance(kind, pd.CategoricalDtype)
 }
@@ -74,24 +74,37 @@ def read_points(log: bytes) -> list[dict[str, Any]]:
     """
     points: dict[int, dict[str, Any]] = {}
     for record in map(json.loads, log.splitlines()):
-        values = {
-            CURVE_KEYS[key]: float(value)
-            for key, value in record["metrics"].items()
-            if key in CURVE_KEYS
-        }
+        values = {}
+        for key, value in record["metrics"].items():
+            column = _curve_column(key)
+            if column is not None:
+                values[column] = float(value)
         if values:
             step = int(np.int64(record["step"]))
             points.setdefault(step, {"step": step}).update(values)
     return list(points.values())
 
 
+@cache
+def _curve_column(key: str) -> str | None:
+    """Return the column of a metric in `Results.curves`; None if it has none."""
+    if key in CURVE_KEYS:
+        return CURVE_KEYS[key]
+    added = added_metrics([key], "eval/")
+    return added[0] if added else None
+
+
 def read_episodes(table: bytes) -> pd.DataFrame:
-    """Return the rows of an `episodes.csv`: its columns in EPISODES, with text for categories.
+    """Return the rows of an `episodes.csv`, with text for categories.
+
+    Columns that EPISODES does not have are metrics of users, if they have numbers.
 
     Raises:
         ValueError: it is damaged.
     """
-    episodes = pd.read_csv(io.BytesIO(table), dtype=NUMBERS, usecols=lambda name: name in EPISODES)
+    episodes = pd.read_csv(io.BytesIO(table), dtype=NUMBERS)
+    numbers = episodes.select_dtypes(["number", "bool"])
+    episodes = episodes[[name for name in episodes if name in EPISODES or name in numbers]]
     if absent := [name for name in REQUIRED if name not in episodes]:
         raise ValueError(f"it has no column {absent[0]}")
     unknown = [

@@ -29,4 +29,4 @@ class CustomConfig(TaskConfig):
     @property
     def imports(self) -> dict[str, str]:
         """The class, which is imported when the task is made."""
-        return {"task": self.task}
+        return {"task": self.task, **super().imports}

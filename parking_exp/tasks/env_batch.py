@@ -39,10 +39,10 @@ class EnvBatch:
         """Step all episodes; actions have the shape (n, actions)."""
         results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
         self._observations = [result[0] for result in results]
+        self._infos = [result[4] for result in results]
         columns = [[result[index] for result in results] for index in (1, 2, 3)]
-        columns += [
-            [result[4][key] for result in results] for key in (self.failure_key, "is_success")
-        ]
+        for key in (self.failure_key, "is_success"):
+            columns.append([info[key] for info in self._infos])
         return Step(self.observe(), *(np.array(column) for column in columns))
 
     def keep(self, rows: np.ndarray) -> None:
@@ -52,3 +52,7 @@ class EnvBatch:
 
     def ending(self, row: int) -> Any:
         """Return None: the outcome is all that is known of the end of an episode."""
+
+    def info(self, row: int) -> dict[str, Any]:
+        """Return the last `info` of an episode that has just ended."""
+        return self._infos[row]

@@ -55,7 +55,9 @@ class GymnasiumConfig(TaskConfig):
             for key, value in self.kwargs.items()
             if not _is_harmless(value)
         }
-        return unsafe | ({"id": self.id} if ":" in self.id else {})
+        if ":" in self.id:
+            unsafe["id"] = self.id
+        return unsafe | super().imports
 
 
 def _is_harmless(value: object) -> bool:

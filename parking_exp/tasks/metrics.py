@@ -1,13 +1,16 @@
 """Metrics of evaluation episodes: each is declared once, by its task.
 
 Evaluation, `episodes.csv`, the store, the frames of `parking_exp.results` and the tables of reports
-read them. To add a metric, add an entry to a task's metrics: every evaluation then computes it, and
-runs that were evaluated before lack it (NaN).
+read them. `env.metrics` adds metrics of a user's own package, by dotted paths. Of those, a store
+has keys and values alone, so that reading it imports nothing of that package.
 """
 
-from collections.abc import Callable
+import pkgutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
+
+from parking_exp.errors import ConfigError, one_line
 
 EPISODE_SEED = "scene"
 """Column of the seed from which an evaluation episode started, in `episodes.csv` and in frames."""
@@ -21,6 +24,7 @@ class Episode:
     steps: int  # policy steps
     total_reward: float  # undiscounted
     end: Any  # the state at its end, from `EvaluationBatch.ending`
+    info: Mapping[str, Any]  # of its last step, from `EvaluationBatch.info`
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,7 @@ class Metric:
     unit: str = ""  # shown behind the label
     dtype: Literal["bool", "int64", "float64"] = "float64"  # of the column in frames
     column: str | None = None  # in `Results.runs`; None: `NAME_rate` or the name
+    # Of this package's metrics; those of users are in both.
     in_curves: bool = False  # whether `Results.curves` has it
     in_reports: bool = False  # whether reports have its mean over seeds
     is_outcome: bool = False  # whether it is the share of episodes that ended like this
@@ -109,6 +114,35 @@ def outcome(failure: str, failed: bool, is_success: bool) -> str:
     return failure if failed else "success" if is_success else "timeout"
 
 
-def episode_columns(metrics: tuple[Metric, ...]) -> list[str]:
+def episode_columns(metrics: Sequence[Metric]) -> list[str]:
     """Return the columns of an episodes table; `episodes.csv` has phase and step before them."""
     return [EPISODE_SEED, "outcome", *(metric.name for metric in metrics if not metric.is_outcome)]
+
+
+def load_metrics(paths: Iterable[str], known: Sequence[Metric]) -> tuple[Metric, ...]:
+    """Return metrics of a user's own package, by their dotted paths.
+
+    Args:
+        paths: of the metrics.
+        known: other metrics, whose names are taken.
+
+    Raises:
+        ConfigError: there is no such metric, or its name can't be used.
+    """
+    metrics: list[Metric] = []
+    taken = {"run_id", "phase", "step", *episode_columns(known), *(each.name for each in known)}
+    for number, path in enumerate(paths):
+        assignment = f"env.metrics.{number}={path}"
+        try:
+            metric = pkgutil.resolve_name(path)
+        except Exception as error:  # whatever a module does when it is imported
+            raise ConfigError(f"{assignment}: {type(error).__name__}: {one_line(error)}") from error
+        if not isinstance(metric, Metric):
+            raise ConfigError(f"{assignment} is not a parking_exp.tasks.metrics.Metric")
+        if not metric.name.isidentifier():
+            raise ConfigError(f"{assignment}: its name {metric.name!r} is not an identifier")
+        if metric.name in taken:
+            raise ConfigError(f"{assignment}: there is a metric or column {metric.name} already")
+        taken.add(metric.name)
+        metrics.append(metric)
+    return tuple(metrics)

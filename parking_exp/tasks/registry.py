@@ -12,7 +12,7 @@ from pydantic import Discriminator, Tag
 from parking_exp.errors import ConfigError, one_line
 from parking_exp.tasks.custom_config import CLASS_PATH, CustomConfig
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric
+from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric, load_metrics
 from parking_exp.tasks.parking import parking_metrics
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 
@@ -47,20 +47,36 @@ METRICS: tuple[Metric, ...] = tuple(dict.fromkeys((*parking_metrics.METRICS, *GY
 OUTCOMES = tuple(metric.name for metric in METRICS if metric.is_outcome)
 FAILURES = tuple(name for name in OUTCOMES if name not in ("success", "timeout"))
 """Outcomes of episodes that ended badly; each task has one of them."""
+KEYS = {metric.key for metric in METRICS}
+ADDED_KEY = re.compile(r"\w+_(rate|mean)")
 TRAINING_ONLY = frozenset(
-    f"env.{key}" for key in ("name", *ParkingConfig.training_keys, *GymnasiumConfig.training_keys)
+    f"env.{key}"
+    for key in ("name", "metrics", *ParkingConfig.training_keys, *GymnasiumConfig.training_keys)
 )
 """Config keys of tasks that do not change the episodes of an evaluation."""
 DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not metric.is_outcome}
 """Types of the columns of an episodes table, but for seed and outcome."""
 
 
+def added_metrics(names: Iterable[str], prefix: str = "") -> list[str]:
+    """Return the keys of metrics of users among names of a store or a frame, sorted."""
+    keys = {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
+    return sorted(key for key in keys - KEYS if ADDED_KEY.fullmatch(key))
+
+
 def make_task(config: EnvConfig) -> "Task":
-    """Return the task that an `env` group describes.
+    """Return the task that an `env` group describes, with the metrics that the user adds.
 
     Raises:
-        ConfigError: the class of another package can't be made.
+        ConfigError: the class of another package can't be made, or a metric can't be used.
     """
+    task = _make_task(config)
+    added = load_metrics(config.metrics or (), [*METRICS, *task.metrics])
+    task.metrics = (*task.metrics, *added)
+    return task
+
+
+def _make_task(config: EnvConfig) -> "Task":
     if isinstance(config, GymnasiumConfig):
         from parking_exp.tasks.gymnasium_task import GymnasiumTask
 

@@ -84,6 +84,9 @@ class EvaluationBatch(Protocol):
         metrics.
         """
 
+    def info(self, row: int) -> Mapping[str, Any]:
+        """Return the last `info` of an episode that has just ended, as `Episode.info`."""
+
 
 class Task(ABC):
     """A goal-conditioned task: how to train on it, evaluate a policy and judge an episode.

@@ -25,6 +25,7 @@ class TaskConfig(ConfigModel):
 
     task: Any
     name: Name
+    metrics: list[str] | None = None
 
     if TYPE_CHECKING:  # a key of some tasks, and fixed for others
 
@@ -43,7 +44,7 @@ class TaskConfig(ConfigModel):
     @property
     def imports(self) -> dict[str, str]:
         """Keys by which making an env may import a module or open a file, and their values."""
-        return {}
+        return {f"metrics.{number}": path for number, path in enumerate(self.metrics or ())}
 
     def problems(self) -> Iterator[str]:
         """Yield a sentence for each rule between keys that is violated."""

@@ -166,6 +166,10 @@ class ArrayBatch:
         """Return the state of one episode."""
         return self._take(row)
 
+    def info(self, row: int) -> dict[str, Any]:
+        """Return nothing: `ending` has all that is known."""
+        return {}
+
     def get_state(self) -> State:
         """Return the state, to be saved and given to `set_state`."""
         return self._take(slice(None))

@@ -67,6 +67,7 @@ def test_evaluating_a_foreign_run_refuses_its_class_until_the_user_trusts_it(for
         ({"id": "hostile:Env-v0"}, "env.id=hostile:Env-v0"),
         ({"kwargs": {"config": {"other_vehicles_type": "hostile.Made"}}}, "env.kwargs.config="),
         ({"kwargs": {"xml_file": "/etc/passwd"}}, "env.kwargs.xml_file=/etc/passwd"),
+        ({"metrics": ["hostile.metric"]}, "env.metrics.0=hostile.metric"),
     ],
 )
 def test_an_environment_imports_and_opens_nothing_until_the_user_trusts_it(

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from parking_exp.reports import formats
-from parking_exp.reports.cell_summaries import FURTHER, REPORTED
+from parking_exp.reports.cell_summaries import FURTHER, heading, is_rate
 from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.tables.table import (
     PERCENT,
@@ -26,8 +26,7 @@ from parking_exp.reports.tables.table import (
     text_column,
 )
 from parking_exp.statistics import Interval, Proportion
-
-RATES = ("success", *(name for name in FURTHER if REPORTED[name].is_rate), "timeout")
+from parking_exp.tasks.registry import added_metrics
 
 
 def headline(report: ReportData) -> Iterator[Table]:
@@ -38,7 +37,7 @@ def headline(report: ReportData) -> Iterator[Table]:
         column("Env steps", "total_timesteps", formats.number, given=True),
     ]
     for name in _select_rates(report):
-        columns.append(interval_column(REPORTED[name].heading, name, paper=name != "timeout"))
+        columns.append(interval_column(heading(name), name, paper=name != "timeout"))
     columns += [
         column("Lowest", "lowest", formats.percent, note="success of the worst seed"),
         column(
@@ -62,17 +61,17 @@ def headline(report: ReportData) -> Iterator[Table]:
             note="median of the env steps until 90 % were held for three evaluations",
         ),
         column(
-            REPORTED["episode_steps"].heading,
+            heading("episode_steps"),
             "episode_steps",
             partial(formats.number, digits=1),
             paper=False,
         ),
         column("CPU (s)", "cpu_s", formats.number),
     ]
-    for name in FURTHER:
-        if not REPORTED[name].is_rate:
-            heading = REPORTED[name].heading
-            columns.append(column(heading, name, partial(formats.number, digits=2), paper=False))
+    for name in _list_further(report):
+        if not is_rate(name):
+            write = partial(formats.number, digits=2)
+            columns.append(column(heading(name), name, write, paper=False))
     yield Table(
         "headline",
         _list_cell_rows(report),
@@ -111,10 +110,10 @@ def seeds(report: ReportData) -> Iterator[Table]:
     columns = [
         cell_column(),
         column("Seed", "seed"),
-        interval_column(REPORTED["success"].heading, "success"),
+        interval_column(heading("success"), "success"),
     ]
     for name in _select_rates(report)[1:]:
-        columns.append(column(REPORTED[name].heading, name, formats.percent))
+        columns.append(column(heading(name), name, formats.percent))
     columns += [
         column("Episodes", "n_episodes", formats.number, given=True),
         Column("Steps to 90 %", reached, "steps_to_90"),
@@ -347,10 +346,16 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
 
 def _select_rates(report: ReportData) -> list[str]:
     """Return the names of the rates that some cell has."""
-    known = {"success", "timeout"}
+    further = [name for name in _list_further(report) if is_rate(name)]
+    return ["success", *further, "timeout"]
+
+
+def _list_further(report: ReportData) -> list[str]:
+    """Return the names of the further metrics that some cell has, those of users last."""
+    known: set[str] = set()
     for cell in report.cells:
-        known |= set(cell.further)
-    return [name for name in RATES if name in known]
+        known.update(cell.further)
+    return [name for name in FURTHER if name in known] + added_metrics(known)
 
 
 def _count_finished(row: Row) -> str:

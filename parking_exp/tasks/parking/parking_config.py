@@ -14,6 +14,7 @@ DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 OUR_KEYS = {
     "task",
     "name",
+    "metrics",
     "simulator",
     "reward",
     "training_duration",

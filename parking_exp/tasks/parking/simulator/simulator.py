@@ -6,6 +6,8 @@ the step, nearly all, are integrated at once; the others frame by frame, in high
 limit the action, move, apply the impact of the frame before, detect collisions.
 """
 
+from typing import Any
+
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import (
@@ -143,6 +145,11 @@ class Simulator:
             SLOT_POSITIONS[goal],
             SLOT_HEADINGS[goal],
         )
+
+    def info(self, row: int) -> dict[str, Any]:
+        """Return entries of highway-env's `info`."""
+        state = self.state
+        return {"speed": float(state.speed[row]), "crashed": bool(state.crashed[row])}
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return a copy of the state as plain arrays, to be saved and given to `set_state`."""
