@@ -5,12 +5,13 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 import torch
 from filelock import FileLock
-from support.runs import in_memory, only_run, run_script
+from support.runs import ROOT, in_memory, only_run, run_script
 
 torch.set_num_threads(1)  # networks this small gain nothing from more, and other processes do
 
@@ -51,6 +52,19 @@ def output_dir(empty):
     with in_memory() as folder:
         shutil.copy(empty / "mlflow.db", folder)
         yield Path(folder)
+
+
+@pytest.fixture(scope="session")
+def installed_wheel(tmp_path_factory):
+    """The folder of a package that was built as a wheel and installed."""
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "--quiet"]
+    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, ROOT]
+    subprocess.run(build, check=True, capture_output=True, timeout=300)
+    (wheel,) = folder.glob("*.whl")
+    install = [*pip, "install", "--no-deps", "--target", folder / "site", wheel]
+    subprocess.run(install, check=True, capture_output=True, timeout=300)
+    return folder / "site"
 
 
 @pytest.fixture(scope="session")

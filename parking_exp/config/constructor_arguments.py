@@ -136,9 +136,9 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
         yield f"{key}.net_arch overrides algorithm.net_arch; set algorithm.net_arch instead"
         return
 
-    problem = None
-    if algorithm.features != "raw":
-        problem = _features_problem(algorithm, policy, given)
+    problem = _extractor_problem(algorithm, given)
+    if problem is None and algorithm.features != "raw":
+        problem = _features_problem(algorithm, policy)
     if problem is not None:
         yield problem
         return
@@ -156,17 +156,22 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
         yield from _check_target(f"{key}.{name}_kwargs", node, partial=True)
 
 
-def _features_problem(
-    algorithm: AlgorithmConfig, policy: type | None, given: Mapping[str, Any]
-) -> str | None:
-    """Say why a policy with these arguments can't have the features, which are not raw."""
+def _extractor_problem(algorithm: AlgorithmConfig, given: Mapping[str, Any]) -> str | None:
+    """Say which of our keys a features extractor among the policy's arguments overrides."""
+    names = [name for name in given if name.startswith("features_extractor")]
+    if not names:
+        return None
+    problem = f"algorithm.policy_kwargs.{names[0]} overrides"
+    if algorithm.features != "raw":
+        return f"{problem} algorithm.features; set algorithm.features=raw"
+    if algorithm.normalize:
+        return f"{problem} algorithm.normalize; set algorithm.normalize=false"
+    return None
+
+
+def _features_problem(algorithm: AlgorithmConfig, policy: type | None) -> str | None:
+    """Say why a policy can't have the features, which are not raw."""
     chosen = f"algorithm.features={algorithm.features}: {algorithm.class_name}'s policy"
-    for name in given:
-        if name.startswith("features_extractor"):
-            return (
-                f"algorithm.policy_kwargs.{name} overrides algorithm.features; "
-                "set algorithm.features=raw"
-            )
     if policy is not None and not takes(policy, "features_extractor_class"):
         return f"{chosen} ignores it; use raw"
     is_mirrored = algorithm.features == "ego_mirrored"

@@ -174,25 +174,9 @@ def test_config_dir_adds_options_and_cfg_shows_the_config_and_runs_nothing(tmp_p
 
 
 @pytest.mark.slow
-def test_a_built_wheel_works_from_any_directory(tmp_path):
+def test_a_built_wheel_works_from_any_directory(installed_wheel, tmp_path):
     """The wheel carries conf/ inside the package; what it prints shows that it is the wheel's."""
-    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation",
-             "--wheel-dir", str(tmp_path), str(ROOT)]  # fmt: skip
-    subprocess.run(build, check=True, capture_output=True, timeout=300)
-    (wheel,) = tmp_path.glob("*.whl")
-    site = tmp_path / "site"
-    unpack = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--target",
-        str(site),
-        str(wheel),
-    ]
-    subprocess.run(unpack, check=True, capture_output=True, timeout=300)
+    site = installed_wheel
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     code = f"import sys; sys.path.insert(0, {str(site)!r}); from parking_exp.cli.train import main; from parking_exp.config.overrides import config_dir; print(config_dir()); main()"

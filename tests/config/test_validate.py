@@ -144,6 +144,20 @@ def test_features_that_a_policy_would_ignore_are_refused():
     assert "ego_fine" in sentence
 
 
+def test_a_features_extractor_of_ones_own_needs_inputs_that_are_not_normalised():
+    extractor = "stable_baselines3.common.torch_layers.CombinedExtractor"
+    values = {
+        "algorithm.features": "raw",
+        "algorithm.normalize": True,
+        f"{POLICY}.features_extractor_class": extractor,
+    }
+    assert refusal(changed(values)) == (
+        f"{POLICY}.features_extractor_class overrides algorithm.normalize; "
+        "set algorithm.normalize=false"
+    )
+    validate(changed({**values, "algorithm.normalize": False}))
+
+
 @pytest.mark.parametrize(
     "values",
     [

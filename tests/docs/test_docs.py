@@ -4,11 +4,11 @@ import json
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from support.marks import slow_but
 from support.runs import ROOT, call_script
@@ -62,13 +62,14 @@ def cheap(command):
     return words if "--cfg" in words else words + [word for word in added if word not in words]
 
 
-def add(path, text):
-    """Write a block to a new file, or insert it into an existing one after its first line."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    line = text[: text.index("\n") + 1]
-    old = path.read_text() if path.exists() else line
-    assert line in old
-    path.write_text(old.replace(line, text))
+def write_examples(page, folder, *languages):
+    """Write the titled blocks of a page to files below a folder."""
+    for language in languages:
+        for title, text in blocks(page, language):
+            if title:
+                path = folder / title
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text)
 
 
 def anchors(page):
@@ -142,8 +143,7 @@ def test_python_examples_run(page, output_dir, tmp_path, monkeypatch):
 
 
 def test_the_search_of_the_tuning_page_is_valid(tmp_path):
-    ((title, text),) = blocks(ROOT / "docs" / "tuning.md", "yaml")
-    add(tmp_path / title, text)
+    write_examples(ROOT / "docs" / "tuning.md", tmp_path, "yaml")
     done = call_script(
         "tune", "--config-dir", "my_conf", "search=mine", "dry_run=true", cwd=tmp_path
     )
@@ -152,9 +152,7 @@ def test_the_search_of_the_tuning_page_is_valid(tmp_path):
 
 
 def test_the_task_of_the_extending_page_is_learned(output_dir, tmp_path, monkeypatch):
-    for title, text in blocks(EXTENDING, "python") + blocks(EXTENDING, "yaml"):
-        if "reach" in title:
-            add(tmp_path / title, text)
+    write_examples(EXTENDING, tmp_path, "python", "yaml")
     monkeypatch.syspath_prepend(tmp_path)
     few = ("n_envs=4", "algorithm.learning_starts=500", "algorithm.net_arch=[32,32]")
     overrides = ("env=reach", "total_timesteps=3000", *few, f"output_dir={output_dir}")
@@ -164,44 +162,72 @@ def test_the_task_of_the_extending_page_is_learned(output_dir, tmp_path, monkeyp
     assert -1 <= metrics["final/end_x_mean"] <= 1
 
 
+SHORT = [
+    "total_timesteps=1000",
+    "evaluation.n_scenes=5",
+    "evaluation.final_n_scenes=5",
+    "experiment_name=other",
+]
+TRAIN = """
+import sys
+import parking_exp
+from parking_exp import compose, load_model, train
+
+train(compose(*sys.argv[1:], config_dir="my_conf"))
+features = ["algorithm=sac_difference", "experiment=smoke", "total_timesteps=60"]
+result = train(compose(*features, config_dir="my_conf"))
+print(parking_exp.__file__)
+print(type(load_model(result.run_dir).actor.features_extractor))
+"""
+
+
+@pytest.fixture
+def user(installed_wheel, tmp_path):
+    """The options of processes in a folder with the examples, and nothing else of this repository."""
+    write_examples(EXTENDING, tmp_path, "python", "yaml")
+    environment = {**os.environ, "PYTHONPATH": f"{installed_wheel}:{tmp_path}"}
+    return {"cwd": tmp_path, "env": environment, "timeout": 300}
+
+
+def test_the_examples_of_the_extending_page_train_from_python(user, installed_wheel, tmp_path):
+    (together,) = [command for command in commands(EXTENDING) if "experiment_name=mine" in command]
+    overrides = [word for word in shlex.split(together) if "=" in word]
+    overrides += ["evaluation.video_episodes=0", "tracking.mlflow=false"]
+    program = [sys.executable, "-c", TRAIN, *overrides]
+    done = subprocess.run(program, check=True, capture_output=True, text=True, **user)
+
+    *_, package, features = done.stdout.splitlines()
+    assert package == f"{installed_wheel}/parking_exp/__init__.py"
+    assert features == "<class 'my_networks.GoalDifference'>"
+    (directory,) = tmp_path.glob("outputs/mine/parking_dense_lot-fading_sac-her_late-*/seed=0")
+    episodes = pd.read_csv(directory / "episodes.csv")
+    final = episodes[episodes["phase"] == "final"]
+    metrics = json.loads((directory / "result.json").read_text())["metrics"]
+    assert metrics["final/centred_rate"] == (final["distance_m"] < 0.5).mean()
+
+
 @pytest.mark.slow
-def test_the_examples_of_the_extending_page_run_and_appear_in_results(tmp_path):
-    for folder in ("parking_exp", "conf", "scripts"):
-        shutil.copytree(
-            ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__")
-        )
-    for title, text in blocks(EXTENDING, "python") + blocks(EXTENDING, "yaml"):
-        add(tmp_path / title, text)
-    # One command trains a run with all extensions, one shortly on another task; the others print
-    # their plan.
-    short = [
-        "total_timesteps=1000",
-        "evaluation.n_scenes=5",
-        "evaluation.final_n_scenes=5",
-        "experiment_name=other",
-    ]
+def test_the_commands_of_the_extending_page_run_with_an_installed_wheel(
+    user, installed_wheel, tmp_path
+):
+    # One command trains a run with all extensions, one shortly on another task, and one evaluates;
+    # the others print their plan.
     for command in commands(EXTENDING):
-        added = (
-            short
-            if "my_tasks" in command
-            else []
-            if "env=reach" in command
-            else []
-            if "mine" in command
-            else ["dry_run=true"]
-        )
-        words = [sys.executable, *shlex.split(f"scripts/{command}"), *added]
-        subprocess.run(
-            words,
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(tmp_path)},
-            check=True,
-            timeout=300,
-        )
-    (result,) = tmp_path.glob(
-        "outputs/mine/parking_dense_lot-fading_sac-her_late-*/seed=0/result.json"
-    )
-    assert "final/centred_rate" in result.read_text()
+        script, *words = shlex.split(command)
+        name = script.removesuffix(".py")
+        if "my_tasks" in command:
+            words += SHORT
+        elif name == "train" and "mine" not in command and "env=reach" not in command:
+            words.append("dry_run=true")
+        program = [sys.executable, installed_wheel / "bin" / f"parking-{name}", *words]
+        subprocess.run(program, check=True, **user)
+
     (other,) = tmp_path.glob("outputs/other/*/seed=0/result.json")
     assert 0 <= json.loads(other.read_text())["metrics"]["final/failure_rate"] <= 1
-    assert "How many seeds" in (tmp_path / "outputs/reports/mine/index.html").read_text()
+    (evaluation,) = tmp_path.glob("outputs/pretrained/default/evaluations/*")
+    distance = pd.read_csv(evaluation / "episodes.csv")["distance_m"]
+    summary = json.loads((evaluation / "summary.json").read_text())
+    assert summary["centred_rate"] == (distance < 0.5).mean()
+    page = (tmp_path / "outputs/reports/mine/index.html").read_text()
+    assert "How many seeds" in page
+    assert "centred (%)" in page
