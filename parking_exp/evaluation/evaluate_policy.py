@@ -155,5 +155,5 @@ def _run_batch(
 
 def _is_same(value: Any, other: Any) -> bool:
     if isinstance(value, float):
-        return abs(value - other) <= TOLERANCE
+        return bool(np.isclose(value, other, rtol=0, atol=TOLERANCE, equal_nan=True))
     return value == other

@@ -7,7 +7,13 @@ import pandas as pd
 import pytest
 from support.runs import make_config
 
-from parking_exp.evaluation.evaluate_policy import describe, evaluate, rank, summarise
+from parking_exp.evaluation.evaluate_policy import (
+    describe,
+    evaluate,
+    find_differences,
+    rank,
+    summarise,
+)
 from parking_exp.tasks.metrics import episode_columns, outcome
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.parking_metrics import METRICS
@@ -121,3 +127,15 @@ def test_the_best_is_chosen_by_success_then_crashes_then_steps():
     ]
     order = sorted(best_first, key=lambda summary: rank(summary, ParkingTask), reverse=True)
     assert order == [best_first[2], best_first[0], best_first[1], best_first[3]]
+
+
+def test_two_simulators_differ_in_what_is_further_apart_than_rounding():
+    ours = pd.DataFrame({"scene": [3, 4], "outcome": ["success"] * 2, "speed": [1.0, math.nan]})
+    same = ours.assign(speed=[1.0 + 1e-10, math.nan])
+    assert find_differences(ours, same) == []
+
+    others = ours.assign(outcome=["crash", "success"], speed=[1.0, 2.0])
+    assert find_differences(ours, others) == [
+        "scene 3: outcome success and crash",
+        "scene 4: speed nan and 2.0",
+    ]

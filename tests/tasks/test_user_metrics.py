@@ -13,6 +13,7 @@ from parking_exp.errors import ConfigError, UntrustedError
 from parking_exp.evaluation.agents import load_model
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.results import load, read_export
+from parking_exp.tasks.custom_config import CustomConfig
 from parking_exp.tasks.registry import make_task
 from parking_exp.training.train_run import train
 
@@ -24,21 +25,26 @@ def straight_on(observation):
     return np.tile([1.0, 0.0], (len(observation["observation"]), 1))
 
 
+def forward(observation):
+    return np.ones((len(observation["observation"]), 1), np.float32)
+
+
 def first_bit(observation):
     return np.eye(8)[[0] * len(observation["observation"])]
 
 
 def test_a_metric_of_parking_has_the_pose_at_the_end_and_the_same_info_in_both_simulators():
-    task = make_task(make_config("env.duration=2", BOTH).env)
+    metrics = f"env.metrics=[{OWN}.centred,{OWN}.ended,{OWN}.last_speed]"
+    task = make_task(make_config("env.duration=6", metrics).env)
 
     tables = []
     for simulator in ("vectorized", "highway_env"):
-        tables.append(evaluate(straight_on, task, range(4), simulator=simulator))
+        tables.append(evaluate(straight_on, task, range(8), simulator=simulator))
 
-    assert list(tables[0].columns[-3:]) == ["speed_mps", "centred", "last_speed"]
+    assert list(tables[0].columns[-3:]) == ["centred", "ended", "last_speed"]
     assert tables[0]["centred"].tolist() == (tables[0]["distance_m"] < 0.5).tolist()
-    # 11 steps at 5 m/s² and 5 Hz, unless the car hits something.
-    assert tables[0]["last_speed"].max() == pytest.approx(11.0)
+    assert tables[0]["ended"].tolist() == (tables[0]["outcome"] != "timeout").tolist()
+    assert tables[0]["last_speed"].abs().tolist() == tables[0]["speed_mps"].tolist()
     pd.testing.assert_frame_equal(tables[0], tables[1], rtol=1e-9)
 
 
@@ -51,6 +57,16 @@ def test_a_metric_of_a_goal_environment_has_its_last_info():
 
     assert table.columns[-1] == "was_lost"
     assert table["was_lost"].tolist() == [False] * 4
+
+
+def test_a_metric_of_a_task_of_arrays_has_its_state_at_the_end():
+    config = CustomConfig(
+        task="support.user_tasks.Steps", name="steps", metrics=[f"{OWN}.position"]
+    )
+
+    table = evaluate(forward, make_task(config), [0, 2])
+
+    assert table["position"].tolist() == [3.0, 3.0]
 
 
 @pytest.mark.parametrize(
