@@ -1,7 +1,10 @@
 """The base of the `env` groups of all tasks: what the rest of the package needs from them."""
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from operator import not_
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+
+from pydantic import Field
 
 from parking_exp.config_model import TRAINING_SEEDS_START, ConfigModel, Name
 
@@ -25,7 +28,8 @@ class TaskConfig(ConfigModel):
 
     task: Any
     name: Name
-    metrics: list[str] | None = None
+    # Left out of stored configs and of the names of evaluations where there are none.
+    metrics: Annotated[list[str] | None, Field(exclude_if=not_)] = None
 
     if TYPE_CHECKING:  # a key of some tasks, and fixed for others
 

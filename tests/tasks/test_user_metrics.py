@@ -151,6 +151,7 @@ def test_a_metric_is_part_of_a_runs_key_and_added_to_a_trained_run_by_an_evaluat
     plain = make_config("experiment=smoke")
     assert make_config("experiment=smoke", BOTH).run_key != plain.run_key
     assert make_config("experiment=smoke", "env.metrics=null").run_key == plain.run_key
+    assert "metrics" not in plain.plain()["env"]
 
     path = tmp_path / "smoke" / "cell" / "seed=0"
     shutil.copytree(smoke[0].path, path)
