@@ -104,7 +104,9 @@ def read_episodes(table: bytes) -> pd.DataFrame:
     """
     episodes = pd.read_csv(io.BytesIO(table), dtype=NUMBERS)
     numbers = episodes.select_dtypes(["number", "bool"])
-    episodes = episodes[[name for name in episodes if name in EPISODES or name in numbers]]
+    known = [name for name in EPISODES if name in episodes]
+    added = [name for name in numbers.columns.difference(["run_id", *known]) if name.isidentifier()]
+    episodes = episodes[[*known, *added]]
     if absent := [name for name in REQUIRED if name not in episodes]:
         raise ValueError(f"it has no column {absent[0]}")
     unknown = [

@@ -122,7 +122,7 @@ def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):
                "\udcff\udcfe\n"]  # fmt: skip
     fewer_columns, more_columns = (
         "phase,step,scene,outcome\ncertified,400,0,success\n",
-        f"note,{header}x,{line}",
+        f"note,run_id,own,{header}x,1,0.5,{line}",  # one of a user's metrics, and no others
     )
     contents = [
         text.encode(errors="surrogateescape") for text in (*damaged, fewer_columns, more_columns)
@@ -144,6 +144,8 @@ def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):
         9,
         -1.5,
     ]
+    assert episode["own"] == 0.5
+    assert "note" not in results.episodes
     assert by_run[fewer][["parked", "steps", "distance_m"]].isna().all(axis=None)
     pattern = (
         rf"run \w+ \({results.runs['cell'][0]}, seed (\d+)\): (\S+) (is missing|can't be read: ).*"
