@@ -527,3 +527,23 @@ def test_problems_of_results_are_warnings_and_the_first_few_are_named():
     report = build_report(frames, ["one"])
     problems = [line for line in report.warnings if line.startswith("problem")]
     assert problems == [f"problem {n}" for n in range(5)]
+
+
+def test_a_metric_of_a_user_is_a_column_and_empty_where_a_cell_lacks_it():
+    own = {"centred_rate": 0.25, "jerk_mean": 2.5}
+    looks = {"sac": Run(columns=own), "td3": Run()}
+    report = content(ALGORITHMS, look=lambda label, seed: looks[label])
+
+    sac, td3 = report.cells
+    assert (sac.metric("centred_rate").value, sac.metric("jerk_mean").value) == (0.25, 2.5)
+    assert sac.metric("centred_rate").high > 0.25  # an interval, as of each rate
+    assert td3.metric("centred_rate") == Interval(None)
+    assert report.plain()["cells"][0]["seeds"][0]["jerk_mean"] == 2.5
+
+    (table,) = report_tables.headline(report)
+    texts = {column.title: [column.write(row) for row in table.rows] for column in table.columns}
+    assert texts["centred (%)"][0].startswith("25.0 [")
+    assert texts["jerk"] == ["2.50", ""]
+    assert texts["centred (%)"][1] == ""
+    titles = list(texts)
+    assert titles.index("centred (%)") == titles.index("Timeout (%)") - 1
