@@ -116,8 +116,8 @@ class Evaluation:
 
 
 def _settings(env: EnvConfig) -> dict[str, Any]:
-    """Return an env's settings as dotted keys, without its simulator and the agent's part."""
-    return settings_of({"env": env.model_dump(exclude={"simulator", *env.agent_keys})})
+    """Return what makes the episodes of an env differ, as dotted keys, without the agent's part."""
+    return settings_of({"env": env.model_dump(exclude={"simulator", "metrics", *env.agent_keys})})
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:

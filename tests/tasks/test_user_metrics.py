@@ -155,12 +155,13 @@ def test_a_metric_is_part_of_a_runs_key_and_added_to_a_trained_run_by_an_evaluat
 
     path = tmp_path / "smoke" / "cell" / "seed=0"
     shutil.copytree(smoke[0].path, path)
-    arguments = ["simulator=vectorized", "name=own", "tracking.mlflow=false"]
+    arguments = ["simulator=highway_env", "tracking.mlflow=false"]
     done = call_script(
         "evaluate", f"run={path}", f"env.metrics=[{OWN}.last_speed]", "episodes=3", *arguments
     )
     assert done.returncode == 0, done.stderr
-    table = pd.read_csv(path / "evaluations" / "own" / "episodes.csv")
+    assert "final model on 3 episodes of parking, from seed 0" in done.stdout  # the same episodes
+    table = pd.read_csv(path / "evaluations" / "parking-final-seeds-0-2" / "episodes.csv")
     assert table["last_speed"].abs().tolist() == table["speed_mps"].tolist()
 
 
