@@ -25,6 +25,7 @@ BASES = {
     "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",
 }
 CALLBACK = "stable_baselines3.common.callbacks.BaseCallback"
+TRACKER = "parking_exp.training.trackers.Tracker"
 # Arguments that are classes, as dotted paths or `_target_` nodes, and their base classes.
 CLASS_ARGUMENTS = {
     "activation_fn": "torch.nn.Module",
@@ -61,6 +62,7 @@ SET_BY_RUN = {
     "algorithm.policy_kwargs": {"observation_space", "action_space", "lr_schedule", "use_sde"},
     "algorithm.policy_kwargs.optimizer_kwargs": {"params", "lr"},
     "algorithm.policy_kwargs.features_extractor_kwargs": {"observation_space"},
+    "tracking.trackers": {"config", "run_dir"},
 }  # fmt: skip
 
 
@@ -96,6 +98,8 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
             yield from _check_policy(section, import_object(section.target))
     for number, callback in enumerate(run.callbacks or ()):
         yield from _check_target(f"callbacks.{number}", callback, CALLBACK)
+    for number, tracker in enumerate(run.tracking.trackers or ()):
+        yield from _check_target(f"tracking.trackers.{number}", tracker, TRACKER)
 
 
 def policy_class(algorithm: type) -> type | None:
@@ -227,7 +231,8 @@ def _check_parameters(
     partial: bool = False,
 ) -> Iterator[str]:
     """Check arguments against parameters; an `is_open` call takes others, too."""
-    set_by_run = SET_BY_RUN.get(key, set())
+    # Entries of a list have its name and a number.
+    set_by_run = SET_BY_RUN.get(key.rstrip(".0123456789"), set())
     limits = CLASS_LIMITS.get(class_name, LIMITS)
     settable = dict(parameters)
     for name in set_by_run:

@@ -157,6 +157,7 @@ class TrackingConfig(ConfigModel):
     tensorboard: bool
     log_interval: Count
     progress_bar: bool
+    trackers: list[Node] | None = None
 
 
 class SweepOptions(ConfigModel):

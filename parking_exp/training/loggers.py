@@ -4,6 +4,7 @@ import numbers
 import re
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,13 @@ GROUPS_IN_TENSORBOARD = {"buffer/": "replay/", "certified/": "final/certified_"}
 MAX_NAME_LENGTH = 60
 
 
-def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, label: str) -> Logger:
+def make_logger(
+    tracking: TrackingConfig,
+    run_dir: Path,
+    metrics: MetricsLog,
+    label: str,
+    on_row: Callable[[int, dict[str, float]], None],
+) -> Logger:
     """Make a run's logger.
 
     `progress.csv` and TensorBoard's files are made anew from `metrics.jsonl`: a run that is resumed
@@ -37,13 +44,14 @@ def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, la
         run_dir: where they are.
         metrics: the log of the run so far, which is continued.
         label: of the run's cell; TensorBoard names a run by its folder.
+        on_row: called with the step and the metrics of each new row.
     """
     table = CSVOutputFormat(str(run_dir / "progress.csv")) if tracking.csv else None
     board = None
     if tracking.tensorboard:
         shutil.rmtree(run_dir / TENSORBOARD_DIR, ignore_errors=True)
         board = TensorBoardOutputFormat(str(run_dir / TENSORBOARD_DIR / _folder_name(label)))
-    formats: list[KVWriter] = [_MetricsWriter(metrics, table, board)]
+    formats: list[KVWriter] = [_MetricsWriter(metrics, table, board, on_row)]
     if tracking.stdout:
         formats.append(HumanOutputFormat(sys.stdout))
     return Logger(str(run_dir), formats)
@@ -73,17 +81,22 @@ class _MetricsWriter(KVWriter):
         metrics: MetricsLog,
         table: CSVOutputFormat | None,
         board: TensorBoardOutputFormat | None,
+        on_row: Callable[[int, dict[str, float]], None],
     ) -> None:
         self.metrics = metrics
         self.table = table
         self.board = board
+        self.on_row = on_row
         for record in metrics.records():
             self._add_row(record["metrics"], record["step"], record["time_ms"] / 1000)
 
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
-        self._add_row(self.metrics.append(step, key_values), step)
+        row = self.metrics.append(step, key_values)
+        self._add_row(row, step)
+        if row:
+            self.on_row(step, row)
         if self.board is not None:
             others = {}
             excluded = {}

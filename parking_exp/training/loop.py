@@ -35,6 +35,7 @@ from parking_exp.training.checkpoints import SavedProgress, save_model
 from parking_exp.training.loggers import make_logger
 from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.signals import StopRequest
+from parking_exp.training.trackers import RunTrackers
 
 BAR_UPDATES_PER_S = 5
 
@@ -70,6 +71,7 @@ class TrainingLoop:
         config: RunConfig,
         directory: RunDirectory,
         on_checkpoint: Callable[[], None],
+        trackers: RunTrackers,
         checkpoint: Path | None,
         stop: StopRequest,
     ) -> None:
@@ -107,7 +109,8 @@ class TrainingLoop:
 
         self.metrics = MetricsLog(path / METRICS_FILE)
         label = directory.read_status().get("label") or config.options
-        self.model.set_logger(make_logger(config.tracking, path, self.metrics, label))
+        logger = make_logger(config.tracking, path, self.metrics, label, trackers.log)
+        self.model.set_logger(logger)
         self.bar = TrainingProgress(
             config.total_timesteps,
             self.progress.step,

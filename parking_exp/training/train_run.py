@@ -35,6 +35,7 @@ from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.signals import StopRequest, stop_on_signal
+from parking_exp.training.trackers import RunTrackers
 
 
 def train(
@@ -112,8 +113,9 @@ def _train(
     _record_start(config, directory, store_uri)
     # The process that the user started writes the store: of a supervised run, the sweep.
     tracker = Tracker(None if supervised else store_uri, directory, partial(say, stderr=True))
+    trackers = RunTrackers(config, partial(say, stderr=True))
     try:
-        description = _train_and_evaluate(config, directory, stop, tracker)
+        description = _train_and_evaluate(config, directory, stop, tracker, trackers)
     except (InterruptedRunError, KeyboardInterrupt):
         directory.update(status="interrupted")
         tracker.mirror()
@@ -124,6 +126,8 @@ def _train(
             f"the run failed: {type(error).__name__}: {error}; its traceback is in "
             f"{directory.path / TRACEBACK_FILE}"
         ) from error
+    finally:
+        trackers.finish(directory.status)
     tracker.mirror()
     result = directory.result()
     assert result is not None
@@ -153,14 +157,19 @@ def _record_start(config: RunConfig, directory: RunDirectory, store_uri: str | N
 
 
 def _train_and_evaluate(
-    config: RunConfig, directory: RunDirectory, stop: StopRequest, tracker: Tracker
+    config: RunConfig,
+    directory: RunDirectory,
+    stop: StopRequest,
+    tracker: Tracker,
+    trackers: RunTrackers,
 ) -> list[str]:
     """Train from the last checkpoint to the end, write the result, and describe the episodes."""
     checkpoint = checkpoints.latest(directory.checkpoints)
     restore_logs(directory.path, checkpoint)
     record_provenance(directory.path)
     tracker.mirror()
-    with closing(TrainingLoop(config, directory, tracker.sync, checkpoint, stop)) as loop:
+    loop = TrainingLoop(config, directory, tracker.sync, trackers, checkpoint, stop)
+    with closing(loop):
         try:
             loop.learn()
             with loop.average.applied():

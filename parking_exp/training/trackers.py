@@ -1,0 +1,77 @@
+"""Trackers of a user's own package, which get a run's metrics while it trains."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hydra.utils import instantiate
+
+from parking_exp.config.schema import RunConfig
+from parking_exp.errors import one_line
+
+
+class Tracker:
+    """Base class of the classes that `tracking.trackers` names.
+
+    Args:
+        config: of the run, as plain containers.
+        run_dir: the run directory, absolute.
+    """
+
+    def __init__(self, config: dict[str, Any], run_dir: Path) -> None:
+        self.config = config
+        self.run_dir = run_dir
+
+    def log(self, step: int, metrics: dict[str, float]) -> None:
+        """Record a row of metrics at an env step, as `metrics.jsonl` has it."""
+        raise NotImplementedError
+
+    def finish(self, status: str) -> None:
+        """End the record of a run, which is `done`, `failed` or `interrupted`."""
+
+
+class RunTrackers:
+    """The trackers of one run: one that raises is reported, and not called again.
+
+    Args:
+        config: of the run.
+        say: shows a line.
+    """
+
+    def __init__(self, config: RunConfig, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._trackers: list[Tracker] = []
+        for node in config.tracking.trackers or ():
+            make = instantiate(node, _partial_=True, _convert_="all")
+            try:
+                tracker = make(config=config.plain(), run_dir=config.run_dir)
+            except Exception as error:
+                self._report(node["_target_"], error)
+            else:
+                self._trackers.append(tracker)
+
+    def log(self, step: int, metrics: dict[str, float]) -> None:
+        """Pass a row of metrics to each tracker."""
+        for tracker in [*self._trackers]:
+            try:
+                tracker.log(step, dict(metrics))
+            except Exception as error:
+                self._drop(tracker, error)
+
+    def finish(self, status: str) -> None:
+        """Tell each tracker how the run has ended."""
+        for tracker in [*self._trackers]:
+            try:
+                tracker.finish(status)
+            except Exception as error:
+                self._drop(tracker, error)
+
+    def _drop(self, tracker: Tracker, error: Exception) -> None:
+        self._trackers.remove(tracker)
+        self._report(f"{type(tracker).__module__}.{type(tracker).__name__}", error)
+
+    def _report(self, name: str, error: Exception) -> None:
+        self._say(
+            f"the tracker {name} failed ({type(error).__name__}: {one_line(error)}); the run goes "
+            "on without it"
+        )

@@ -1,0 +1,166 @@
+"""Trackers of a user's own package, named in the config."""
+
+import json
+import re
+import sqlite3
+from contextlib import closing
+
+import pytest
+from support.runs import ROOT, make_config, run_script
+
+from parking_exp.config.allowlist import check_trust
+from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, UntrustedError
+from parking_exp.training import loop
+from parking_exp.training.train_run import train
+
+WRITES = "support.user_trackers.WritesJson"
+SHORT = ("experiment=smoke", "total_timesteps=200", "tracking.mlflow=false", "evaluation.video_episodes=0")  # fmt: skip
+
+
+def config(tmp_path, tracker, *overrides):
+    return make_config(
+        *SHORT, f"output_dir={tmp_path}", f"tracking.trackers=[{tracker}]", *overrides
+    )
+
+
+def calls(run_dir):
+    """The calls of a run's tracker."""
+    return [json.loads(line) for line in (run_dir.parent / "calls.jsonl").read_text().splitlines()]
+
+
+def logged(run_dir):
+    """The calls that a run's metrics.jsonl stands for."""
+    rows = [json.loads(line) for line in (run_dir / "metrics.jsonl").read_text().splitlines()]
+    return [["log", row["step"], row["metrics"]] for row in rows]
+
+
+def test_a_tracker_gets_the_config_each_row_of_metrics_and_the_end(tmp_path):
+    run = config(tmp_path, WRITES, "seed=3")
+
+    train(run)
+
+    rows = logged(run.run_dir)
+    assert len(rows) > 2
+    assert rows[-1][2].keys() >= {"final/success_rate"}
+    assert calls(run.run_dir) == [["start", 3], *rows, ["finish", "done"]]
+
+
+def test_a_resumed_run_logs_what_comes_after_its_checkpoint(tmp_path, monkeypatch):
+    run = config(tmp_path, WRITES, "evaluation.every_n_steps=50", "checkpoint.every_n_steps=50")
+    stop_if_asked = loop.TrainingLoop.stop_if_asked
+
+    def stop(self):
+        if self.model.num_timesteps >= 100:
+            raise InterruptedRunError("at step 100", 2)
+        stop_if_asked(self)
+
+    with monkeypatch.context() as patch, pytest.raises(InterruptedRunError):
+        patch.setattr(loop.TrainingLoop, "stop_if_asked", stop)
+        train(run)
+    assert calls(run.run_dir)[-1] == ["finish", "interrupted"]
+    train(run)
+
+    rows = logged(run.run_dir)
+    assert [call for call in calls(run.run_dir) if call[0] == "log"] == rows
+    ends = [call for call in calls(run.run_dir) if call[0] != "log"]
+    assert ends == [["start", 0], ["finish", "interrupted"], ["start", 0], ["finish", "done"]]
+
+
+def test_a_tracker_learns_that_its_run_has_failed(tmp_path, monkeypatch):
+    run = config(tmp_path, WRITES)
+
+    def fail(self):
+        raise RuntimeError("a loss of NaN")
+
+    monkeypatch.setattr(loop.TrainingLoop, "learn", fail)
+    with pytest.raises(FailedRunError, match="a loss of NaN"):
+        train(run)
+
+    assert calls(run.run_dir) == [["start", 0], ["finish", "failed"]]
+
+
+@pytest.mark.parametrize("call", ["start", "log", "finish"])
+def test_a_tracker_that_raises_is_reported_once_and_stops_no_run(tmp_path, capsys, call):
+    run = config(tmp_path, f"{{_target_:{WRITES},fails_in:{call}}}")
+
+    result = train(run)
+
+    assert result.steps == 200
+    sentence = (
+        f"the tracker {WRITES} failed (ConnectionError: no network); the run goes on without it"
+    )
+    assert capsys.readouterr().err.count(sentence) == 1
+    assert [kind for kind, *_ in calls(run.run_dir)].count(call) == 1
+    assert calls(run.run_dir)[-1][0] == call
+
+
+def test_trackers_work_in_the_processes_of_a_sweep(tmp_path):
+    done = run_script(
+        "train",
+        *SHORT,
+        "seeds=2",
+        f"output_dir={tmp_path}",
+        f"tracking.trackers=[{WRITES}]",
+        env={"PYTHONPATH": "tests"},
+    )
+
+    assert done.returncode == 0, done.stderr
+    (run_dir, other) = sorted(tmp_path.glob("smoke/*/seed=*"))
+    ends = sorted(call for call in calls(run_dir) if call[0] != "log")
+    assert ends == [["finish", "done"], ["finish", "done"], ["start", 0], ["start", 1]]
+    n_rows = len(logged(run_dir)) + len(logged(other))
+    assert [call[0] for call in calls(run_dir)].count("log") == n_rows
+
+
+def test_the_tracker_of_the_extending_page_has_each_value(tmp_path, monkeypatch):
+    page = (ROOT / "docs" / "extending.md").read_text()
+    code = re.search(
+        r"^```python title=\"my_trackers.py\"\n(.*?)^```", page, re.DOTALL | re.MULTILINE
+    )
+    (tmp_path / "my_trackers.py").write_text(code[1])
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    run = config(tmp_path, "my_trackers.DatabaseTracker")
+
+    train(run)
+
+    with closing(sqlite3.connect(tmp_path / "metrics.db")) as database:
+        rows = database.execute("SELECT run, step, name, value FROM metrics").fetchall()
+    expected = []
+    for _, step, metrics in logged(run.run_dir):
+        expected += [(str(run.run_dir), step, name, value) for name, value in metrics.items()]
+    assert rows == expected
+
+
+def test_trackers_change_no_key_of_a_run_and_are_not_trusted_in_the_runs_of_others(tmp_path):
+    plain = make_config(*SHORT, f"output_dir={tmp_path}")
+    tracked = config(tmp_path, WRITES)
+
+    assert tracked.run_key == plain.run_key
+    with pytest.raises(UntrustedError, match=rf"^tracking\.trackers\.0\._target_={WRITES}"):
+        check_trust(tracked, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("tracker", "problem"),
+    [
+        ("a.B", "tracking.trackers.0._target_=a.B: ModuleNotFoundError: No module named 'a'"),
+        (
+            "parking_exp.algorithms.SAC",
+            "tracking.trackers.0._target_=parking_exp.algorithms.SAC is not a subclass of "
+            "parking_exp.training.trackers.Tracker",
+        ),
+        (
+            f"{{_target_:{WRITES},fails_inn:log}}",
+            "tracking.trackers.0.fails_inn: there is no such key; did you mean 'fails_in'?",
+        ),
+        (
+            f"{{_target_:{WRITES},run_dir:here}}",
+            "tracking.trackers.0.run_dir is set by the run itself",
+        ),
+    ],
+)
+def test_what_is_no_tracker_is_refused(tmp_path, tracker, problem):
+    with pytest.raises(ConfigError) as error:
+        config(tmp_path, tracker)
+    assert str(error.value) == problem
