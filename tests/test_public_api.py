@@ -51,6 +51,7 @@ PUBLIC_PATHS = (
     "parking_exp.sweeps.slurm.SlurmLauncher",
     "parking_exp.sweeps.supervisor.supervise_job",
     "parking_exp.reports.sections.Section",
+    "parking_exp.training.trackers.Tracker",
 )
 TARGET = re.compile(r"_target_: (parking_exp\.[\w.]+)")
 NAMED = re.compile(r"\bparking_exp(?:\.\w+)+")

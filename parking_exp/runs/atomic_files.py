@@ -19,7 +19,10 @@ from parking_exp.errors import first_line
 
 MAX_SMALL = 2**20  # bytes of a YAML file, which is parsed slowly
 MAX_JSON = 2**26
+MAX_DEPTH = 100  # of nested YAML: the C parser calls itself at each level
 MAX_LARGE = 2**31  # of a log, a model or a video
+# PyYAML's parser in C takes a tenth of the time; PyYAML may have been built without it.
+_YamlLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 HOST = re.sub(r"[^A-Za-z0-9]", "", socket.gethostname())
 
 
@@ -91,18 +94,24 @@ def parse_plain_yaml(content: bytes) -> Any:
     if len(content) > MAX_SMALL:
         raise ValueError(f"it has more than {MAX_SMALL:,} bytes")
     try:
-        return json.loads(json.dumps(yaml.load(content, _PlainLoader)))
+        _refuse_unusual_yaml(content)
+        return json.loads(json.dumps(yaml.load(content, _YamlLoader)))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
         raise ValueError(first_line(error)) from error
 
 
-class _PlainLoader(yaml.SafeLoader):
-    """Loads YAML without aliases, by which a few lines can stand for more than fits in memory."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
+def _refuse_unusual_yaml(content: bytes) -> None:
+    """Raise YAMLError for deep nesting, and for aliases, by which a few lines fill the memory."""
+    depth = 0
+    for event in yaml.parse(content, _YamlLoader):
+        if isinstance(event, yaml.AliasEvent):
             raise yaml.YAMLError("it has an alias; stored configs have values only")
-        return super().compose_node(parent, index)
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > MAX_DEPTH:
+            raise yaml.YAMLError("it is nested too deeply")
 
 
 def read_file(path: Path, limit: int = MAX_LARGE) -> bytes:

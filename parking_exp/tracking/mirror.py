@@ -9,7 +9,7 @@ and all of them when the run is done. Files of a finished run that have changed 
 
 import os
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,7 +36,7 @@ from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import CONFIG_FILE, STATUS_FILE
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.terminal import console, program, say
-from parking_exp.tracking.client import lock_path, reason, write_lock
+from parking_exp.tracking.client import lock_path, no_garbage_collection, reason, write_lock
 from parking_exp.tracking.embedded_store import (
     is_usable,
     remove_unfinished,
@@ -103,12 +103,14 @@ def _build(path: Path, uri: str) -> None:
         run for run in directories if run.tracking_uri and is_same_store(run.tracking_uri, uri)
     ]
     is_quick = len(tracked) < FEW_RUNS
+    experiment_ids: dict[str, str] = {}
     problems = []
     for directory in track(
         tracked, "making the store", console=console(stderr=True), transient=True, disable=is_quick
     ):
         try:
-            _send(directory, new, uri, is_new=True)
+            with no_garbage_collection():
+                _send(directory, new, uri, experiment_ids)
         except Exception as error:  # of this run; the store has the others
             problems.append(f"{directory.path}: {reason(error)}")
     unfinished.replace(path)
@@ -117,24 +119,32 @@ def _build(path: Path, uri: str) -> None:
         say(f"the new store lacks {plural(len(problems), 'run')}, e.g. {problems[0]}", stderr=True)
 
 
-def _send(directory: RunDirectory, store: Store, uri: str, *, is_new: bool = False) -> None:
+def _send(
+    directory: RunDirectory,
+    store: Store,
+    uri: str,
+    new_experiments: dict[str, str] | None = None,
+) -> None:
     """Send a run directory to a store.
 
     Args:
         directory: of the run.
         store: that gets it.
         uri: of the store, under the name that it is going to have.
-        is_new: whether the store is known to lack the run.
+        new_experiments: ids of the experiments of a store that is being made, which has none of
+            the runs; a missing one is added. None: the store is complete.
     """
+    is_new = new_experiments is not None
     config = directory.config()
-    directory.check_links()
-    if changed := directory.changed_files():
-        raise StoreError(_describe_damage(changed))
+    _refuse_damage(directory)
     status = _status(directory)
     files = _files(directory, status)
     digest = _digest(directory, status, files)
     tags = _tags(directory, config, store)
-    experiment_id = store.experiment_id(config)
+    if new_experiments is None:
+        experiment_id = store.experiment_id(config)
+    else:
+        experiment_id = _new_experiment(config, store, new_experiments)
     run, earlier = (None, []) if is_new else _find(directory, store, experiment_id, tags)
     run_name = f"{config.cell}-seed={config.seed}"
     if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
@@ -305,12 +315,23 @@ def _rate(directory: RunDirectory) -> str:
     return "" if rate is None else f"{rate:.1%} "
 
 
-def _describe_damage(names: Sequence[str]) -> str:
-    return (
-        f"{', '.join(names)} changed after the run was finished; the store keeps what it has. "
-        "Restore the file, "
-        "or delete it, and this warning goes"
-    )
+def _refuse_damage(directory: RunDirectory) -> None:
+    """Raise for links that lead elsewhere, and for files that changed since they were finished."""
+    directory.check_links()
+    changed = directory.changed_files()
+    if changed:
+        raise StoreError(
+            f"{', '.join(changed)} changed after the run was finished; the store keeps what it "
+            "has. Restore the file, or delete it, and this warning goes"
+        )
+
+
+def _new_experiment(config: RunConfig, store: Store, ids: dict[str, str]) -> str:
+    """Return the id of a run's experiment in a store that is being made, looked up once."""
+    name = config.experiment_name
+    if name not in ids:
+        ids[name] = store.experiment_id(config)
+    return ids[name]
 
 
 def sync_hint(output_dir: Path, uri: str | None) -> str:

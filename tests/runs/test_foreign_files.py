@@ -11,6 +11,7 @@ from parking_exp.runs.atomic_files import (
     MAX_JSON,
     MAX_LARGE,
     MAX_SMALL,
+    parse_plain_yaml,
     read_file,
     read_json,
     read_object,
@@ -71,6 +72,13 @@ def test_a_link_to_itself_is_refused_in_a_sentence(tmp_path, name):
         UntrustedError, match=f"{name} is a symbolic link that leads nowhere; remove it"
     ):
         directory.check_links()
+
+
+@pytest.mark.parametrize("depth", [101, 200_000])
+def test_yaml_that_is_nested_deeply_is_refused(depth):
+    with pytest.raises(ValueError, match=r"^it is nested too deeply$"):
+        parse_plain_yaml(b"[" * depth + b"]" * depth)
+    assert parse_plain_yaml(b"[" * 100 + b"]" * 100) is not None
 
 
 def test_a_bomb_of_aliases_is_refused(tmp_path):

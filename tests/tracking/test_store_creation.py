@@ -19,6 +19,8 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import StoreError
 from parking_exp.results.frames import load
 from parking_exp.tracking.client import connect, import_mlflow
+from parking_exp.tracking.mirror import prepare
+from parking_exp.tracking.store import Store
 
 
 def execute(database, *statements):
@@ -50,6 +52,21 @@ def test_a_missing_store_is_made_from_all_run_directories(output_dir):
     assert first.run_id != first_id
     kept = output_dir / "mlflow-artifacts.replaced-1" / "smoke" / first_id / "artifacts"
     assert (kept / "metrics.jsonl").read_bytes() == (first.path / "metrics.jsonl").read_bytes()
+
+
+def test_a_store_that_is_made_looks_up_an_experiment_once(output_dir, monkeypatch):
+    first, *_ = store_with_runs(output_dir)
+    looked_up = []
+    experiment_id = Store.experiment_id
+
+    def count(self, config):
+        looked_up.append(config.experiment_name)
+        return experiment_id(self, config)
+
+    monkeypatch.setattr(Store, "experiment_id", count)
+    prepare(Store(first.tracking_uri, output_dir))
+    assert looked_up == ["smoke"]
+    assert stored(output_dir) == [0, 1, 2]
 
 
 def test_a_run_that_a_new_store_lacks_is_named(output_dir, capsys):
