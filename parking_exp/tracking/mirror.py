@@ -19,22 +19,18 @@ from rich.progress import track
 from parking_exp.config.cell_labels import setting_text, settings_of
 from parking_exp.config.paths import (
     SQLITE,
-    database,
     default_uri,
     is_same_store,
-    relative_path,
     resolved,
 )
-from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import StoreError, one_line, plural
-from parking_exp.runs.atomic_files import read_file, read_object
-from parking_exp.runs.directory import EVALUATIONS, MODEL, WRITTEN_AT_THE_END, RunDirectory, Status
+from parking_exp.errors import StoreError, plural
+from parking_exp.runs.atomic_files import read_file
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import CONFIG_FILE, STATUS_FILE
-from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.terminal import console, program, say
 from parking_exp.tracking.client import lock_path, no_garbage_collection, reason, write_lock
 from parking_exp.tracking.embedded_store import (
@@ -44,17 +40,25 @@ from parking_exp.tracking.embedded_store import (
     unfinished_path,
 )
 from parking_exp.tracking.store import Store
+from parking_exp.tracking.stored_run import (
+    DIGEST,
+    OUTPUT_ID,
+    STARTED,
+    STATUS,
+    digest_in_store,
+    files_in_store,
+    rate_in_name,
+    status_in_store,
+    tags_in_store,
+)
 
 if TYPE_CHECKING:
     from mlflow.entities import Metric, Run
 
-DIGEST, STARTED, STATUS, OUTPUT_ID = "mirrored", "started_ms", "status", "output_id"  # tags
 FEW_RUNS = 20  # are sent in a second or two
 WAIT_S = 120  # for another process that mirrors the same run
-MAX_ERROR_LENGTH = 500
 MAX_PARAM_LENGTH = 6000  # MLflow refuses longer values; the whole config is also an artifact
 MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
-FROM_STATUS = ("command", "search", "trial")  # tags
 
 
 def mirror(directory: RunDirectory, store: Store) -> None:
@@ -137,10 +141,10 @@ def _send(
     is_new = new_experiments is not None
     config = directory.config()
     _refuse_damage(directory)
-    status = _status(directory)
-    files = _files(directory, status)
-    digest = _digest(directory, status, files)
-    tags = _tags(directory, config, store)
+    status = status_in_store(directory)
+    files = files_in_store(directory, status)
+    digest = digest_in_store(directory, status, files)
+    tags = tags_in_store(directory, config, store)
     if new_experiments is None:
         experiment_id = store.experiment_id(config)
     else:
@@ -155,7 +159,7 @@ def _send(
     # Nobody reads a store that is being made: its runs have their last tags and names from the
     # start.
     last_tags = {DIGEST: digest, STATUS: status}
-    last_name = f"{_rate(directory)}{run_name}" if status == "done" else run_name
+    last_name = f"{rate_in_name(directory)}{run_name}" if status == "done" else run_name
     if run is None:
         start_ms = int(tags[STARTED]) if STARTED in tags else None
         first_tags = last_tags if is_new else {STATUS: "running"}
@@ -264,9 +268,9 @@ def mirror_missing(
         if (run_dir := store.run_dir(run))
     }
     for directory in idle:
-        status = _status(directory)
-        files = _files(directory, status)
-        run = mirrored.get((resolved(directory.path), _digest(directory, status, files)))
+        status = status_in_store(directory)
+        files = files_in_store(directory, status)
+        run = mirrored.get((resolved(directory.path), digest_in_store(directory, status, files)))
         if run is None or not store.has_artifacts(run, files):
             yield directory, try_mirror(directory, store)
 
@@ -309,12 +313,6 @@ def mirror_problem(directories: Iterable[RunDirectory], store: Store) -> str | N
     return f"{incomplete}: {problem}; {sync_hint(directory.output_dir, store.uri)}"
 
 
-def _rate(directory: RunDirectory) -> str:
-    """Return the final success rate of a finished run as `98.6% `, or nothing where it has none."""
-    rate = directory.read_status().get("success_rate")
-    return "" if rate is None else f"{rate:.1%} "
-
-
 def _refuse_damage(directory: RunDirectory) -> None:
     """Raise for links that lead elsewhere, and for files that changed since they were finished."""
     directory.check_links()
@@ -344,83 +342,6 @@ def sync_hint(output_dir: Path, uri: str | None) -> str:
     if uri is not None and uri != default_uri(output_dir):
         words.append(f"tracking.uri={uri}")
     return f"`{shlex.join(words)}` sends what is missing"
-
-
-def _status(directory: RunDirectory) -> Status:
-    """Return a run's status for the store, where one that was killed or is pending is
-    `interrupted`.
-    """
-    status = directory.status
-    return (
-        "interrupted"
-        if status == "pending" or (status == "running" and not directory.is_locked)
-        else status
-    )
-
-
-def _digest(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
-    """Return a hash of what the store should have of a run, `files` among it, without parsing any
-    file.
-    """
-    entries, provenance = directory.read_status(), directory.path / PROVENANCE_FILE
-    state = [status, *(entries.get(name) for name in ("error", *FROM_STATUS))]
-    sent = [*([provenance] if provenance.exists() else []), *files.values()]
-    stats = [(str(file.relative_to(directory.path)), file.stat()) for file in sent]
-    return short_hash([state, *([name, stat.st_size, stat.st_mtime_ns] for name, stat in stats)])
-
-
-def _tags(directory: RunDirectory, config: RunConfig, store: Store) -> dict[str, str]:
-    """Return the tags of a run except its status; they overwrite others of the same name in its
-    provenance.
-    """
-    path, entries = database(store.uri), directory.read_status()
-    provenance = read_object(directory.path / PROVENANCE_FILE)
-    error = one_line(entries.get("error", "")) if entries.get("status") == "failed" else ""
-    stored = provenance.get("tags")
-    described = (
-        {str(name): str(value) for name, value in stored.items()}
-        if isinstance(stored, dict)
-        else {}
-    )
-    return {
-        **{
-            name: value
-            for name, value in described.items()
-            if name not in (DIGEST, STATUS, OUTPUT_ID)
-        },
-        **({STARTED: str(provenance[STARTED])} if STARTED in provenance else {}),
-        **{name: str(entries[name]) for name in FROM_STATUS if name in entries},
-        **({} if store.is_own else {OUTPUT_ID: output_id(directory.output_dir)}),
-        "experiment": config.experiment_name,
-        "cell": config.cell,
-        "seed": str(config.seed),
-        "run_key": config.run_key,
-        "run_dir": relative_path(directory.path, path.parent)
-        if path
-        else str(directory.path.absolute()),
-        "error": error[:MAX_ERROR_LENGTH],
-    }
-
-
-def _files(directory: RunDirectory, status: Status) -> dict[str, Path]:
-    """Return the files for the store, by their names there; those that grow with the run come at
-    its end.
-    """
-    path = directory.path
-    files = {CONFIG_FILE: path / CONFIG_FILE}
-    if checkpoints := sorted(directory.checkpoints.glob("step=*")):
-        files[METRICS_FILE] = checkpoints[-1] / METRICS_FILE  # what is final of it
-        files["checkpoint/model.zip"] = checkpoints[-1] / MODEL
-    if status == "done":
-        files[METRICS_FILE] = path / METRICS_FILE
-    if status != "running":
-        files |= {name: path / name for name in WRITTEN_AT_THE_END}
-    for folder in directory.evaluations():
-        files |= {
-            f"{EVALUATIONS}/{folder.name}/{file.name}": file
-            for file in sorted(folder.glob("[!.]*"))
-        }
-    return {name: file for name, file in files.items() if file.is_file()}
 
 
 def _find(

@@ -21,7 +21,7 @@ from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
 
 KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
-WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/mirror.py", "parking_exp/runs/atomic_files.py",
+WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/mirror.py", "parking_exp/tracking/stored_run.py", "parking_exp/runs/atomic_files.py",
            "parking_exp/runs/directory.py", "mlflow/tracking/client.py", "mlflow/store/tracking/sqlalchemy_store.py",
            "mlflow/store/artifact/local_artifact_repo.py")  # fmt: skip
 
