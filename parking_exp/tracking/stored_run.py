@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from parking_exp.config.paths import database, relative_path
 from parking_exp.config.run_key import short_hash
@@ -25,59 +26,73 @@ MAX_ERROR_LENGTH = 500
 
 
 def status_in_store(directory: RunDirectory) -> Status:
-    """Return a run's status for the store, where one that was killed or is pending is
-    `interrupted`.
+    """Return a run's status for the store.
+
+    A run that was killed or is pending is `interrupted` there.
     """
     status = directory.status
-    return (
-        "interrupted"
-        if status == "pending" or (status == "running" and not directory.is_locked)
-        else status
-    )
+    was_killed = status == "running" and not directory.is_locked
+    if status == "pending" or was_killed:
+        return "interrupted"
+    return status
 
 
 def digest_in_store(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
-    """Return a hash of what the store should have of a run, `files` among it, without parsing any
-    file.
+    """Return a hash of what the store should have of a run, without parsing any file.
+
+    `files` are those of `files_in_store`; their names, sizes and times of change are hashed.
     """
-    entries, provenance = directory.read_status(), directory.path / PROVENANCE_FILE
-    state = [status, *(entries.get(name) for name in ("error", *FROM_STATUS))]
-    sent = [*([provenance] if provenance.exists() else []), *files.values()]
-    stats = [(str(file.relative_to(directory.path)), file.stat()) for file in sent]
-    return short_hash([state, *([name, stat.st_size, stat.st_mtime_ns] for name, stat in stats)])
+    entries = directory.read_status()
+    state: list[Any] = [status]
+    for name in ("error", *FROM_STATUS):
+        state.append(entries.get(name))
+
+    sent = list(files.values())
+    provenance = directory.path / PROVENANCE_FILE
+    if provenance.exists():
+        sent.insert(0, provenance)
+
+    content: list[Any] = [state]
+    for file in sent:
+        stat = file.stat()
+        content.append([str(file.relative_to(directory.path)), stat.st_size, stat.st_mtime_ns])
+    return short_hash(content)
 
 
 def tags_in_store(directory: RunDirectory, config: RunConfig, store: Store) -> dict[str, str]:
-    """Return the tags of a run except its status; they overwrite others of the same name in its
-    provenance.
+    """Return the tags of a run except its status and digest.
+
+    They overwrite tags of the same name in its provenance.
     """
-    path, entries = database(store.uri), directory.read_status()
+    entries = directory.read_status()
     provenance = read_object(directory.path / PROVENANCE_FILE)
-    error = one_line(entries.get("error", "")) if entries.get("status") == "failed" else ""
-    stored = provenance.get("tags")
-    described = (
-        {str(name): str(value) for name, value in stored.items()}
-        if isinstance(stored, dict)
-        else {}
-    )
-    return {
-        **{
-            name: value
-            for name, value in described.items()
-            if name not in (DIGEST, STATUS, OUTPUT_ID)
-        },
-        **({STARTED: str(provenance[STARTED])} if STARTED in provenance else {}),
-        **{name: str(entries[name]) for name in FROM_STATUS if name in entries},
-        **({} if store.is_own else {OUTPUT_ID: output_id(directory.output_dir)}),
-        "experiment": config.experiment_name,
-        "cell": config.cell,
-        "seed": str(config.seed),
-        "run_key": config.run_key,
-        "run_dir": relative_path(directory.path, path.parent)
-        if path
-        else str(directory.path.absolute()),
-        "error": error[:MAX_ERROR_LENGTH],
-    }
+    tags = {}
+    described = provenance.get("tags")
+    if isinstance(described, dict):
+        for name, value in described.items():
+            if name not in (DIGEST, STATUS, OUTPUT_ID):
+                tags[name] = str(value)
+    if STARTED in provenance:
+        tags[STARTED] = str(provenance[STARTED])
+    for name in FROM_STATUS:
+        if name in entries:
+            tags[name] = str(entries[name])
+    if not store.is_own:
+        tags[OUTPUT_ID] = output_id(directory.output_dir)
+
+    tags["experiment"] = config.experiment_name
+    tags["cell"] = config.cell
+    tags["seed"] = str(config.seed)
+    tags["run_key"] = config.run_key
+    database_path = database(store.uri)
+    if database_path is None:
+        tags["run_dir"] = str(directory.path.absolute())
+    else:
+        tags["run_dir"] = relative_path(directory.path, database_path.parent)
+    tags["error"] = ""
+    if entries.get("status") == "failed":
+        tags["error"] = one_line(entries.get("error", ""))[:MAX_ERROR_LENGTH]
+    return tags
 
 
 def files_in_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
