@@ -1,6 +1,7 @@
 """Export the policy of a stored run or of a pretrained agent to a file."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -89,9 +90,9 @@ def _write(export: Export) -> None:
     from parking_exp.algorithms.policy_files import export_safetensors
     from parking_exp.tasks.registry import make_task
 
-    model = agent.model(make_task(agent.config.env))
-    is_onnx = export.request.format == "onnx"
-    content = export_onnx(model) if is_onnx else export_safetensors(model)
+    to_bytes = export_onnx if export.request.format == "onnx" else export_safetensors
+    with closing(make_task(agent.config.env)) as task:
+        content = to_bytes(agent.model(task))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:

@@ -105,6 +105,7 @@ class Task(ABC):
     failure = "failure"
     monitored: tuple[str, ...] = ("is_success",)
     batch_size = 500
+    _prediction_env: "VecEnv | None" = None
 
     @abstractmethod
     def training_envs(self, n_envs: int) -> "VecEnv":
@@ -138,11 +139,17 @@ class Task(ABC):
         return 30
 
     def prediction_env(self) -> "VecEnv":
-        """Make one env with the task's spaces, for a model that only predicts."""
-        return self.training_envs(1)
+        """Make one env with the task's spaces, for a model that only predicts.
 
-    def close(self) -> None:  # noqa: B027
-        """Close the envs of evaluations."""
+        `close` closes it.
+        """
+        self._prediction_env = self.training_envs(1)
+        return self._prediction_env
+
+    def close(self) -> None:
+        """Close the envs of evaluations and predictions."""
+        if self._prediction_env is not None:
+            self._prediction_env.close()
 
     def problems(self) -> Iterator[str]:
         """Yield what is wrong with the environment itself; this may take seconds."""

@@ -5,6 +5,7 @@ episodes.
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+import gymnasium as gym
 import numpy as np
 
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
@@ -30,6 +31,7 @@ class ParkingTask(Task):
 
     def __init__(self, config: ParkingConfig) -> None:
         self.config = config
+        self._envs: list[gym.Env] = []  # of the batch on highway-env that was started last
 
     @property
     def frame_rate(self) -> int:
@@ -52,15 +54,29 @@ class ParkingTask(Task):
     def evaluation_batch(self, seeds: Sequence[int], simulator: str | None) -> EvaluationBatch:
         """Start the scenes of some seeds: those of `env.reset(seed=s)` of highway-env."""
         if (simulator or self.config.simulator) == "highway_env":
-            return HighwayBatch(self.config, seeds)
+            self._close_batch()
+            batch = HighwayBatch(self.config, seeds)
+            self._envs = batch.envs
+            return batch
         scenes = Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles)
         return Simulator(self.config, scenes)
+
+    def close(self) -> None:
+        """Close the envs of evaluations on highway-env, and that of predictions."""
+        super().close()
+        self._close_batch()
+
+    def _close_batch(self) -> None:
+        for env in self._envs:
+            env.close()
+        self._envs = []
 
     def prediction_env(self) -> "VecEnv":
         """Make one env of highway-env."""
         from stable_baselines3.common.vec_env import DummyVecEnv
 
-        return DummyVecEnv([lambda: make_env(self.config)])
+        self._prediction_env = DummyVecEnv([lambda: make_env(self.config)])
+        return self._prediction_env
 
     @property
     def episode_steps(self) -> int:
