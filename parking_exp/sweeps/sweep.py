@@ -76,35 +76,45 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
     # A cell is checked once for all its seeds.
     unique = {id(run.cell): run.cell for run in composed}
-    cells = {
-        key: (config, config.run_dir.parent)
-        for key, config in zip(unique, validate_all(unique.values()), strict=True)
-    }
-    _refuse_two_evaluations(cells.values())
-    names = {folder: (folder.parent.name, folder.name) for _, folder in cells.values()}
-    numbers = {folder: number for number, folder in enumerate(names)}
-    labels = label_by_experiment(
-        {names[folder]: settings_of(config.plain()) for config, folder in cells.values()}
-    )
+    configs = dict(zip(unique, validate_all(unique.values()), strict=True))
+    folders = {cell: config.run_dir.parent for cell, config in configs.items()}
+    _refuse_two_evaluations(zip(folders.values(), configs.values(), strict=True))
+
+    settings = {}
+    for cell, config in configs.items():
+        settings[_cell_name(folders[cell])] = settings_of(config.plain())
+    labels = label_by_experiment(settings)
+    numbers = {name: number for number, name in enumerate(settings)}
+
     runs: dict[Path, PlannedRun] = {}
     for run in composed:
-        config, folder = cells[id(run.cell)]
+        config = configs[id(run.cell)]
         if run.seed is not None:
             config = config.model_copy(update={"seed": run.seed})
+        folder = folders[id(run.cell)]
         path = folder / f"seed={config.seed}"
         if path not in runs:
-            state = read_state(path)
-            label = labels[names[folder]]
+            name = _cell_name(folder)
             runs[path] = PlannedRun(
-                config, path, label, state, retry is not None, cell_number=numbers[folder]
+                config=config,
+                path=path,
+                label=labels[name],
+                state=read_state(path),
+                retried=retry is not None,
+                cell_number=numbers[name],
             )
     return list(runs.values())
 
 
-def _refuse_two_evaluations(cells: Iterable[tuple[RunConfig, Path]]) -> None:
+def _cell_name(folder: Path) -> tuple[str, str]:
+    """Return the experiment and the name of the cell in a folder."""
+    return folder.parent.name, folder.name
+
+
+def _refuse_two_evaluations(cells: Iterable[tuple[Path, RunConfig]]) -> None:
     """Refuse cells that differ in their final evaluation alone: they would be the same runs."""
     settings: dict[Path, dict[str, int]] = {}
-    for config, folder in cells:
+    for folder, config in cells:
         evaluation = config.final_settings
         first = settings.setdefault(folder, evaluation)
         for name, value in evaluation.items():
@@ -125,28 +135,36 @@ def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     for run, state in zip(runs, states, strict=True):
         if run.needs_evaluation and run.evaluation_problem is not None:
             out.print(f"kept     {run_name(state)}: {run.evaluation_problem}")
-    n_reevaluated = sum(run.is_due for run in runs if run.state.stage == "done")
-    stages = ("pending", "failed")
-    by_stage, due = (
-        count_stages(states),
-        [run for run in runs if run.is_due and run.state.stage in stages],
-    )
-    n_cells, n_seeds = (
-        len({run.path.parent for run in runs}),
-        len({run.config.seed for run in runs}),
-    )
-    product = plural(n_cells, "cell")
-    if n_cells * n_seeds == len(runs):
-        product += f" x {plural(n_seeds, 'seed')}"
-    failed = by_stage["failed"] - sum(run.state.stage == "failed" for run in due)
+    out.print(f"{_product(runs)} = {plural(len(runs), 'run')}: {_counts(runs, states)}")
+
+
+def _product(runs: Sequence[PlannedRun]) -> str:
+    """Return how many cells a plan has, and how many seeds if each cell has the same ones."""
+    n_cells = len({run.path.parent for run in runs})
+    n_seeds = len({run.config.seed for run in runs})
+    cells = plural(n_cells, "cell")
+    if n_cells * n_seeds != len(runs):
+        return cells
+    return f"{cells} x {plural(n_seeds, 'seed')}"
+
+
+def _counts(runs: Sequence[PlannedRun], states: Sequence[RunState]) -> str:
+    """Return how many runs of a plan are done, and how many will run."""
+    by_stage = count_stages(states)
+    due = [run.state.stage for run in runs if run.is_due]
+    n_failed = by_stage["failed"] - due.count("failed")
+    n_reevaluated = due.count("done")
+    n_to_run = due.count("pending") + due.count("failed")
+
     parts = [f"{by_stage['done']} done"]
-    parts += [f"{n_reevaluated} to evaluate again" if n_reevaluated else ""]
-    parts += [f"{by_stage['running']} running elsewhere" if by_stage["running"] else ""]
-    parts += [
-        f"{failed} failed before (retry=failed runs them again)" if failed else "",
-        f"{len(due)} to run",
-    ]
-    out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}")
+    if n_reevaluated:
+        parts.append(f"{n_reevaluated} to evaluate again")
+    if by_stage["running"]:
+        parts.append(f"{by_stage['running']} running elsewhere")
+    if n_failed:
+        parts.append(f"{n_failed} failed before (retry=failed runs them again)")
+    parts.append(f"{n_to_run} to run")
+    return ", ".join(parts)
 
 
 def _planned_state(run: PlannedRun) -> RunState:
@@ -164,26 +182,18 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         FailedRunError: not all runs are done at the end.
         InterruptedRunError: a signal stopped it.
     """
-    out, paths = console(), [run.path for run in runs]
+    out = console()
     print_plan(runs, out)
     if dry_run:
         return
-    due = [run for run in runs if run.is_due]
-    for run in due:
-        entries = {**run.entries, "cell_number": run.cell_number}
-        RunDirectory(run.path).write_plan(run.config, run.label, run.state.started, entries=entries)
-    _number_finished_runs([run for run in runs if run not in due])
-    for run in runs:
-        follow_store(RunDirectory(run.path), run.config)
-    if any(run.config.tracking.mlflow and run.config.tracking.uri is None for run in due):
-        say_ignored_store()
+    _write_plan(runs)
+    due = [run.path for run in runs if run.is_due]
+    paths = [run.path for run in runs]
+    monitor = Monitor(lambda: paths, len(paths))
     try:
-        configs = [run.config for run in runs]
-        with (
-            Monitor(lambda: paths, len(paths)) as monitor,
-            StoreWriter(lambda: paths, configs, monitor.say),
-        ):
-            _launch_all([run.path for run in due], launcher, monitor)
+        writer = StoreWriter(lambda: paths, [run.config for run in runs], monitor.say)
+        with monitor, writer:
+            _launch_all(due, launcher, monitor)
     finally:
         states = [read_state(path) for path in paths]
         if due:
@@ -193,12 +203,20 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
     _check_all_done(states)
 
 
-def _number_finished_runs(runs: Sequence[PlannedRun]) -> None:
-    """Write the cell's place in this plan into the runs that an earlier plan has begun."""
+def _write_plan(runs: Sequence[PlannedRun]) -> None:
+    """Write the files of the runs that are due, and bring the other runs to this plan."""
     for run in runs:
-        if run.state.cell_number is None:
+        directory = RunDirectory(run.path)
+        if run.is_due:
+            entries = {**run.entries, "cell_number": run.cell_number}
+            directory.write_plan(run.config, run.label, run.state.started, entries=entries)
+        elif run.state.cell_number is None:
             with suppress(OSError):  # a directory that can't be written keeps its order
-                RunDirectory(run.path).update(durable=False, cell_number=run.cell_number)
+                directory.update(durable=False, cell_number=run.cell_number)
+        follow_store(directory, run.config)
+    tracking = [run.config.tracking for run in runs if run.is_due]
+    if any(options.mlflow and options.uri is None for options in tracking):
+        say_ignored_store()
 
 
 def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
@@ -208,16 +226,18 @@ def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
     while due:
         free = [path for path in due if read_state(path).stage != "running"]
         if free:
-            if problem := launcher.train(free):
+            problem = launcher.train(free)
+            if problem:
                 monitor.say(f"error: {problem}")
         else:
             time.sleep(POLL_S)
-        stages = {path: read_state(path).stage for path in due}
-        due = [
-            path
-            for path in due
-            if stages[path] == "running" or (stages[path] == "pending" and path not in free)
-        ]
+        due = [path for path in due if _is_left(path, launched=path in free)]
+
+
+def _is_left(path: Path, *, launched: bool) -> bool:
+    """Return whether a run is left to this sweep: it is with another one, or was, and not over."""
+    stage = read_state(path).stage
+    return stage == "running" or (stage == "pending" and not launched)
 
 
 def _check_all_done(states: Sequence[RunState]) -> None:
@@ -228,15 +248,13 @@ def _check_all_done(states: Sequence[RunState]) -> None:
         "pending": "not done",
         "running": "still running",
     }
-    if not (
-        parts := [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]
-    ):
+    parts = [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]
+    if not parts:
         return
-    advice = (
-        "; rerun the same command to resume"
-        if by_stage["pending"] or any(s.killed for s in states)
-        else ""
-    )
-    if any(state.stage == "failed" and not state.killed for state in states):
+    failed = [state.killed for state in states if state.stage == "failed"]
+    advice = ""
+    if by_stage["pending"] or True in failed:
+        advice += "; rerun the same command to resume"
+    if False in failed:
         advice += "; retry=failed runs failed ones again"
     raise FailedRunError(f"of {plural(len(states), 'run')}, {' and '.join(parts)}{advice}")
