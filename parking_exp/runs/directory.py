@@ -12,6 +12,7 @@ without any), `.lock` by the one that trains.
 
 import fcntl
 import os
+import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -263,6 +264,18 @@ class RunDirectory:
         """Occupy the space in which the run's end can be written, until that is done."""
         with self._writable():
             (self.path / RESERVE).write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
+
+    def begin(self) -> None:
+        """Record that this process, which holds the supervisor lock, begins or resumes the run."""
+        (self.path / TRACEBACK_FILE).unlink(missing_ok=True)
+        self.update(
+            status="running",
+            error=None,
+            killed=None,
+            pid=os.getpid(),
+            host=socket.gethostname(),
+            started=time.time(),
+        )
 
     def write_plan(
         self,

@@ -6,11 +6,10 @@ All launchers train runs like this. If the supervisor dies, its worker dies with
 
 import math
 import signal
-import socket
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
@@ -73,9 +72,8 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: Stop) -> WorkerR
     except (ConfigError, OutputDirectoryError) as error:
         directory.update(status="failed", error=str(error))
         return "failed"
-    # Written before the worker starts, whose entries must not be overwritten.
-    started_at: dict[str, Any] = {"host": socket.gethostname(), "started": time.time()}
-    directory.update(status="running", error=None, killed=None, **started_at)
+    # Before the worker starts, whose entries must not be overwritten.
+    directory.begin()
     process.start()
     try:
         directory.update(pid=process.pid)

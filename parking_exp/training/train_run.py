@@ -1,12 +1,9 @@
 """Train one run, from its config to its result."""
 
-import os
 import resource
 import shlex
 import signal
-import socket
 import sys
-import time
 import traceback
 from collections.abc import Mapping
 from contextlib import closing, nullcontext
@@ -70,7 +67,9 @@ def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
                 return _keep(result, reason, directory, config)
             say("already trained; its final model is evaluated again, with other settings")
             directory.reopen()
-        directory.create(config)
+        if not supervised:  # else the sweep has done both
+            directory.create(config)
+            _record_start(config, directory)
         record_training(directory.path, config)
         # Slurm signals every process of a job, and the supervisor passes its own signal on: the
         # checkpoint comes first.
@@ -109,10 +108,10 @@ def _train(
     config: RunConfig, directory: RunDirectory, stop: StopRequest, supervised: bool
 ) -> RunResult:
     """Train a run whose locks are held, and record how that ends."""
-    store_uri = config.store_uri if config.tracking.mlflow else None
-    _record_start(config, directory, store_uri)
     # The process that the user started writes the store: of a supervised run, the sweep.
-    tracker = Tracker(None if supervised else store_uri, directory, partial(say, stderr=True))
+    writes_store = config.tracking.mlflow and not supervised
+    store_uri = config.store_uri if writes_store else None
+    tracker = Tracker(store_uri, directory, partial(say, stderr=True))
     trackers = RunTrackers(config, partial(say, stderr=True))
     try:
         description = _train_and_evaluate(config, directory, stop, tracker, trackers)
@@ -135,20 +134,13 @@ def _train(
     return result
 
 
-def _record_start(config: RunConfig, directory: RunDirectory, store_uri: str | None) -> None:
-    """Write into status.json that this process trains the run."""
-    (directory.path / TRACEBACK_FILE).unlink(missing_ok=True)
+def _record_start(config: RunConfig, directory: RunDirectory) -> None:
+    """Write into status.json that this process trains the run, and what a sweep would plan."""
+    directory.begin()
     directory.update(
-        status="running",
-        error=None,
-        killed=None,
         total_timesteps=config.total_timesteps,
-        pid=os.getpid(),
-        host=socket.gethostname(),
-        started=time.time(),
-        tracking_uri=store_uri,
+        tracking_uri=config.store_uri if config.tracking.mlflow else None,
     )
-    # A supervised run has the command and the label of the sweep.
     command = command_line()
     if command is not None:
         directory.update(command=command)

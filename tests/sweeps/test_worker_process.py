@@ -25,6 +25,7 @@ from support.sweep_processes import (
 )
 
 from parking_exp.results.frames import load
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps import local
 
 TWO = ("seeds=2", "hydra.launcher.n_jobs=2")
@@ -63,6 +64,14 @@ def test_runs_of_workers_equal_a_run_of_train_py(tmp_path, monkeypatch, start_me
     (trained,) = single.glob("smoke/*/seed=1")
     (of_worker,) = together.glob("smoke/*/seed=1")
     assert differences(trained, of_worker) == []
+
+    status = RunDirectory(trained).read_status()
+    worker_status = RunDirectory(of_worker).read_status()
+    assert status["pid"] == os.getpid()
+    assert worker_status["pid"] != os.getpid()
+    assert worker_status.keys() - status.keys() == {"label", "cell_number"}
+    for name in ("status", "total_timesteps", "steps", "success_rate", "evaluation", "host"):
+        assert worker_status[name] == status[name]
 
 
 @FORKED
