@@ -62,11 +62,11 @@ def show(request: StatusRequest) -> None:
     if request.sync:
         _sync(request)
     while True:
-        states, searches = _read_states(request), _read_searches(request)
+        states = _read_states(request)
+        searches = _read_searches(request)
         if request.as_json:
-            content = as_plain(states) | {
-                "searches": [_describe_search(*search) for search in searches.items()]
-            }
+            content = as_plain(states)
+            content["searches"] = [_describe_search(*search) for search in searches.items()]
             say(*json.dumps(content, indent=2).split("\n"))
         else:
             if request.watch:
@@ -79,11 +79,12 @@ def show(request: StatusRequest) -> None:
 
 
 def _read_states(request: StatusRequest) -> list[RunState]:
-    experiment, folder = request.experiment_name, request.output_path
-    if states := as_planned(read_state(path) for path in find_runs(folder, experiment)):
+    """Return the runs of a request, or raise RunNotFoundError if it has none."""
+    experiment = request.experiment_name
+    folder = request.output_path
+    states = as_planned(read_state(path) for path in find_runs(folder, experiment))
+    if states or request.prune:  # which may have left none
         return states
-    if request.prune:  # none is left
-        return []
     if experiment is None:
         raise RunNotFoundError(f"there are no runs in {folder}; train one first, or set output_dir")
     hint = suggestion(experiment, {path.parents[1].name for path in find_runs(folder)})
@@ -97,22 +98,26 @@ def _prune(request: StatusRequest) -> None:
         directory = RunDirectory(path)
         if directory.is_locked or not directory.never_began:
             continue
-        uri = directory.tracking_uri
-        stored_in = [
-            store for store in stores if directory.run_id and uri and is_same_store(uri, store.uri)
-        ]
-        if directory.delete_plan(before=partial(_delete_stored, directory, stored_in)):
+        if directory.delete_plan(before=partial(_delete_stored, directory, stores)):
             say(f"dropped  {path}", stderr=True)
 
 
 def _delete_stored(directory: RunDirectory, stores: list[Store]) -> None:
+    """Mark a run as deleted in the store that it is tracked in, if that is among some stores."""
+    uri = directory.tracking_uri
+    if directory.run_id is None or uri is None:
+        return
     for store in stores:
-        delete_stored(directory, store)
+        if is_same_store(uri, store.uri):
+            delete_stored(directory, store)
 
 
 def _stores(request: StatusRequest) -> set[str]:
     """Return the stores of a request; those that a run directory names may come from elsewhere."""
-    return {default_uri(request.output_path), *filter(None, [request.tracking.uri])}
+    uris = {default_uri(request.output_path)}
+    if request.tracking.uri:
+        uris.add(request.tracking.uri)
+    return uris
 
 
 def _sync(request: StatusRequest) -> None:
@@ -157,7 +162,8 @@ def _read_searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingEr
     searches: dict[str, StoredSearch | ParkingError] = {}
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
-            if (search := study_in(file.parent)) is not None:
+            search = study_in(file.parent)
+            if search is not None:
                 searches[file.parent.name] = search
         except ParkingError as error:
             searches[file.parent.name] = error
@@ -173,5 +179,7 @@ def _describe_search(name: str, search: StoredSearch | ParkingError) -> dict[str
         "n_trials": search.n_trials,
         "objective": OBJECTIVE,
     }
-    plain |= {str(state): number for state, number in count_states(search.trials).items()}
-    return plain | {"trials": [asdict(trial) for trial in search.trials]}
+    for state, number in count_states(search.trials).items():
+        plain[str(state)] = number
+    plain["trials"] = [asdict(trial) for trial in search.trials]
+    return plain

@@ -33,9 +33,8 @@ class LocalLauncher:
             for path in waiting:  # shared by the workers
                 try:
                     train(path)
-                except (
-                    Exception
-                ) as error:  # e.g. its directory can't be written; the other runs continue
+                # E.g. its directory can't be written. The other runs continue.
+                except Exception as error:
                     say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
 
         run_workers(work, min(self.n_jobs, len(paths)))

@@ -29,7 +29,8 @@ class Monitor:
     def __init__(
         self, find: Callable[[], Sequence[Path]], n_runs: int, console: Console | None = None
     ) -> None:
-        self._find, self._n_runs = find, n_runs
+        self._find = find
+        self._n_runs = n_runs
         self._console = console or make_console(stderr=True)
         self._states = {path: read_state(path) for path in find()}
         self._live = Live(
@@ -72,22 +73,18 @@ class Monitor:
         run = run_name(state)
         match state.stage:
             case "done":
-                rate = (
-                    f"success {state.success_rate:.0%}, " if state.success_rate is not None else ""
-                )
-                self.say(
-                    f"done     {run}: {rate}{format_duration(state.wall_s or 0.0)}  "
-                    f"({self._progress()})"
-                )
+                result = format_duration(state.wall_s or 0.0)
+                if state.success_rate is not None:
+                    result = f"success {state.success_rate:.0%}, {result}"
+                self.say(f"done     {run}: {result}  ({self._progress()})")
             case "failed":
                 self.say(f"failed   {run}: {state.reason}  ({self._progress()})")
             case "running":
-                self.say(f"started  {run}{f'  on {state.host}' if state.host else ''}")
+                place = f"  on {state.host}" if state.host else ""
+                self.say(f"started  {run}{place}")
             case _:
-                self.say(
-                    f"stopped  {run}, "
-                    f"{f'at step {state.step}' if state.step else 'before its first checkpoint'}"
-                )
+                moment = f"at step {state.step}" if state.step else "before its first checkpoint"
+                self.say(f"stopped  {run}, {moment}")
 
     def _render(self) -> RenderableType:
         return Group(*state_lines(list(self._states.values()), "running"), self._progress())

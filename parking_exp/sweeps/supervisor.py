@@ -53,7 +53,8 @@ def supervise(
         return "elsewhere"
     try:
         with directory.supervisor_lock():
-            if (status := directory.status) in ("done", "failed"):
+            status = directory.status
+            if status in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
             return _run(directory, WorkerProcess(path, cores, device, start_method), stop)
     except RunLockedError:
@@ -117,7 +118,8 @@ def _result(
     """Return how a run ended, from its worker's exit status and its status.json, and record it
     there.
     """
-    status, killed = directory.status, False
+    status = directory.status
+    killed = False
     if status == "done":
         return "done"
     if code == LOCKED_EXIT:
@@ -130,10 +132,9 @@ def _result(
         directory.update(status="interrupted")
         return "stopped"
     elif code < 0:
-        reason = (
-            "killed by "
-            f"{signal.Signals(-code).name}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
-        )
+        reason = f"killed by {signal.Signals(-code).name}"
+        if -code == signal.SIGKILL:
+            reason += " (out of memory?)"
         killed = -code in KILLS
     elif code == SERVER_LOST:
         reason = "its process was lost, as the server that it was forked from was killed"
@@ -155,11 +156,7 @@ def supervise_job(path: Path) -> None:
             job.
     """
     # Submitit sends the last when the time is nearly up.
-    signals = (
-        signal.SIGINT,
-        signal.SIGTERM,
-        signal.SIGUSR2,
-    )
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)
     with stop_on_signal(None, signals) as request:
         supervise(path, lambda: request.is_made)
     if request.is_made:

@@ -18,9 +18,8 @@ from parking_exp.terminal import say
 LOG_FILE = "log.txt"
 STDOUT = 1
 STDERR = 2
-LOCKED_EXIT = (
-    75  # exit status if another worker, which is about to die, still holds the training lock
-)
+# Exit status if another worker, which is about to die, still holds the training lock.
+LOCKED_EXIT = 75
 
 
 def work(path: Path, cores: Sequence[int], environment: Mapping[str, str]) -> None:
