@@ -28,7 +28,7 @@ PACKAGES = (
 )
 
 
-def collect_provenance() -> dict[str, str]:
+def provenance_tags() -> dict[str, str]:
     """Return the tags `version.<package>`, `git_commit`, `git_dirty` and `cpu`, where known."""
     tags = {"version.python": platform.python_version(), "version.parking-exp": __version__}
     for package in PACKAGES:
@@ -41,7 +41,7 @@ def record_provenance(run_dir: Path) -> None:
     """Write when a run was first started, and what trains it now, into its directory."""
     path = run_dir / PROVENANCE_FILE
     started_ms = read_object(path).get("started_ms") or time.time_ns() // 1_000_000
-    write_json(path, {"started_ms": started_ms, "tags": collect_provenance()})
+    write_json(path, {"started_ms": started_ms, "tags": provenance_tags()})
 
 
 def command_line() -> str | None:

@@ -24,7 +24,7 @@ from parking_exp.evaluation.evaluate_policy import summarise
 from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
-from parking_exp.runs.run_provenance import collect_provenance
+from parking_exp.runs.run_provenance import provenance_tags
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tracking.mirror import mirror
@@ -205,7 +205,7 @@ def _prefixed(phase: str, summary: Mapping[str, float]) -> dict[str, float]:
 
 @cache
 def _provenance() -> dict[str, str]:
-    return collect_provenance()  # it asks git
+    return provenance_tags()  # it asks git
 
 
 def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, uri: str) -> None:

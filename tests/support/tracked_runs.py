@@ -7,7 +7,7 @@ from functools import cache
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.run_provenance import collect_provenance
+from parking_exp.runs.run_provenance import provenance_tags
 from support.runs import make_config
 from support.sync_processes import grow
 
@@ -27,7 +27,7 @@ def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
     directory = RunDirectory(config.run_dir)
     directory.create(config)
     write_json(
-        directory.path / "provenance.json", {"started_ms": started_ms, "tags": collect_provenance()}
+        directory.path / "provenance.json", {"started_ms": started_ms, "tags": provenance_tags()}
     )
     directory.update(status="running", tracking_uri=uri or default_uri(output_dir))
     return directory

@@ -30,7 +30,7 @@ from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory, write_summary
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
-from parking_exp.runs.run_provenance import collect_provenance
+from parking_exp.runs.run_provenance import provenance_tags
 from parking_exp.tracking.client import connect
 from parking_exp.tracking.mirror import mirror_missing, sync_hint, try_mirror
 from parking_exp.tracking.store import Store
@@ -270,7 +270,7 @@ def test_what_a_user_logs_tags_or_deletes_in_the_store_stays(output_dir):
 def test_a_run_has_its_provenance_and_its_command_as_tags(output_dir):
     directory = finished_run(output_dir, started_ms=1234567)
     directory.update(command="python scripts/train.py experiment=smoke")
-    tags = {**collect_provenance(), "version.torch": "1.2.3", "cpu": "another machine's"}
+    tags = {**provenance_tags(), "version.torch": "1.2.3", "cpu": "another machine's"}
     write_json(directory.path / "provenance.json", {"started_ms": 1234567, "tags": tags})
     sync(directory)
     run = stored_run(directory)
