@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 NO_EFFECT = (
-    *("experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "contrasts", "label"),
+    "experiment_name",
+    "output_dir",
+    "tracking",
+    "checkpoint",
+    "timeout_s",
+    "contrasts",
+    "label",
     "evaluation.video_episodes",
 )
 
@@ -23,6 +29,18 @@ def result_part(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         for name, value in config.items()
         if changes_results(f"{prefix}{name}")
     }
+
+
+def trained_part(config: Mapping[str, Any], evaluation: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys that can change the training or its learning curve: what run keys hash.
+
+    Args:
+        config: keys that differ from their defaults; a new key keeps the hashes of older runs.
+        evaluation: all keys of `evaluation` that the training itself uses.
+    """
+    part = result_part(config)
+    part["evaluation"] = evaluation
+    return part
 
 
 def short_hash(value: Any) -> str:

@@ -29,7 +29,7 @@ from parking_exp.config.paths import (
     refuse_password,
     refuse_question_mark,
 )
-from parking_exp.config.run_key import result_part, short_hash
+from parking_exp.config.run_key import short_hash, trained_part
 from parking_exp.config_model import (
     MAX_ENVS,
     ConfigModel,
@@ -215,9 +215,9 @@ class RunConfig(OutputConfig):
         """Short hash of everything that can change the training or its learning curve, except the
         seed.
         """
-        return short_hash(
-            {key: value for key, value in self._trained_part().items() if key != "seed"}
-        )
+        part = self._trained_part()
+        part.pop("seed", None)
+        return short_hash(part)
 
     @property
     def run_key(self) -> str:
@@ -227,13 +227,9 @@ class RunConfig(OutputConfig):
         return short_hash(self._trained_part())
 
     def _trained_part(self) -> dict[str, Any]:
-        """Return the keys that can change the training or its learning curve.
-
-        Keys with their default are left out, so that a new one keeps hashes.
-        """
-        part = result_part(self.model_dump(by_alias=True, exclude_defaults=True))
-        part["evaluation"] = self.evaluation.model_dump(exclude=FINAL_EVALUATION)
-        return part
+        config = self.model_dump(by_alias=True, exclude_defaults=True)
+        evaluation = self.evaluation.model_dump(exclude=FINAL_EVALUATION)
+        return trained_part(config, evaluation)
 
     @property
     def cell(self) -> str:
