@@ -204,43 +204,64 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
 
     request = evaluation.request
     agent = evaluation.agent
-    env = evaluation.env
     folder = evaluation.folder
-    seeds = request.seeds
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
-    with closing(make_task(env)) as task:
+    with closing(make_task(evaluation.env)) as task:
         policy = greedy_policy(agent.model(task))
-        with torch_settings(agent.config), evaluation_progress(len(seeds), env.name) as show:
-            episodes = evaluate(policy, task, seeds, show)
-        folder.mkdir(parents=True, exist_ok=True)
-        for outdated in (folder / SUMMARY_FILE, *folder.glob("video.*")):
-            outdated.unlink(missing_ok=True)
+        with (
+            torch_settings(agent.config),
+            evaluation_progress(len(request.seeds), evaluation.env.name) as show,
+        ):
+            episodes = evaluate(policy, task, request.seeds, show)
+        _clear_folder(folder)
         episodes.to_csv(folder / EPISODES_FILE, index=False)
-        say(
-            f"{agent.name} on {plural(len(seeds), 'episode')} of {evaluation.env_text}, from seed "
-            f"{request.first_scene}, simulated by {env.simulator}",
-            *describe(episodes, task.metrics),
-        )
+        say(_headline(evaluation), *describe(episodes, task.metrics))
         if request.video:
             _record_video(policy, task, request, folder)
 
     summary = summarise(episodes, task.metrics)
+    _write_summary(evaluation, summary, intervals(episodes, task.metrics))
+    if agent.directory is not None and request.tracking.mlflow:
+        _store(request, agent.directory)
+    say(f"results        {folder}")
+    return summary
+
+
+def _clear_folder(folder: Path) -> None:
+    """Make the folder of an evaluation, without the results of an earlier one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for outdated in (folder / SUMMARY_FILE, *folder.glob("video.*")):
+        outdated.unlink(missing_ok=True)
+
+
+def _headline(evaluation: Evaluation) -> str:
+    """Say what is evaluated, and on what."""
+    request = evaluation.request
+    return (
+        f"{evaluation.agent.name} on {plural(len(request.seeds), 'episode')} of "
+        f"{evaluation.env_text}, from seed {request.first_scene}, simulated by "
+        f"{evaluation.env.simulator}"
+    )
+
+
+def _write_summary(
+    evaluation: Evaluation, summary: dict[str, float], bounds: dict[str, tuple[float, float]]
+) -> None:
+    """Write the summary of an evaluation, with the intervals of its rates."""
+    request = evaluation.request
+    env = evaluation.env
     entries = {
         "env": env.name,
         "env_config": env.model_dump(),
         "simulator": env.simulator,
         "model": request.model,
         "first_scene": request.first_scene,
-        "episodes": len(episodes),
+        "episodes": len(request.seeds),
         **summary,
-        "intervals": intervals(episodes, task.metrics),
+        "intervals": bounds,
     }
-    write_summary(folder, entries)
-    if agent.directory is not None and request.tracking.mlflow:
-        _store(request, agent.directory)
-    say(f"results        {folder}")
-    return summary
+    write_summary(evaluation.folder, entries)
 
 
 def _record_video(policy: Policy, task: Task, request: EvaluationRequest, folder: Path) -> None:
