@@ -26,6 +26,7 @@ from parking_exp.results.frames import (
     Results,
     as_results_error,
     config_column,
+    run_category,
     typed_curves,
 )
 from parking_exp.results.run_logs import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
@@ -63,22 +64,20 @@ def write_export(
     folder.mkdir(parents=True, exist_ok=True)
     for outdated in (folder / REPORT, *folder.glob(".tmp-*")):
         outdated.unlink(missing_ok=True)
-    final = results.episodes[results.episodes["phase"] == "final"].astype({"run_id": str})
     tables = {
         "runs.csv.gz": _without_unknown(_exported_runs(results.runs), FINAL.values()),
         "curves.csv.gz": _without_unknown(results.curves, CURVE_KEYS.values()),
-        # One column per run: equal columns compress to almost nothing.
-        "outcomes.csv.gz": final.pivot(
-            index=EPISODE_SEED, columns="run_id", values="outcome"
-        ).reset_index(),
+        "outcomes.csv.gz": _exported_outcomes(results.episodes),
     }
     for name, table in tables.items():
         text = table.to_csv(index=False, float_format="%.6g")
-        with replacing(folder / name) as temporary:  # writes through no link
-            # The same content gives the same bytes.
-            temporary.write_bytes(gzip.compress(text.encode(), mtime=1))
-    sentences = [without_paths(problem) for problem in results.problems]
-    write_json(folder / REPORT, {"problems": sentences, **(about or {})})
+        # Equal tables have equal bytes: the time is always the same.
+        content = gzip.compress(text.encode(), mtime=1)
+        # An existing link is replaced, not followed.
+        with replacing(folder / name) as temporary:
+            temporary.write_bytes(content)
+    problems = [without_paths(problem) for problem in results.problems]
+    write_json(folder / REPORT, {"problems": problems, **(about or {})})
     return folder
 
 
@@ -88,20 +87,21 @@ def read_export(folder: str | Path) -> Results:
     Raises:
         ResultsError: it is not there, not whole, or damaged.
     """
-    uri, folder = str(folder), directory_path(folder)
-    if absent := [name for name in FILES if not (folder / name).is_file()]:
-        raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}")
-    with as_results_error(f"{folder} can't be read"):
-        about = read_json(folder / REPORT)
-        problems = tuple(map(str, about["problems"]))
-        runs = _read_runs(folder / "runs.csv.gz")
-        curves = pd.read_csv(
-            folder / "curves.csv.gz", dtype=CURVE_TYPES, float_precision="round_trip"
+    path = directory_path(folder)
+    for name in FILES:
+        if not (path / name).is_file():
+            raise ResultsError(f"{path} is not a whole export: it has no {name}")
+    with as_results_error(f"{path} can't be read"):
+        about = read_json(path / REPORT)
+        runs = _read_runs(path / "runs.csv.gz")
+        return Results(
+            runs,
+            curves=_read_curves(path / "curves.csv.gz", runs),
+            episodes=_read_episodes(path / "outcomes.csv.gz", runs),
+            uri=str(folder),
+            problems=tuple(map(str, about["problems"])),
+            about=about,
         )
-        curves = typed_curves(curves[curves["run_id"].isin(runs["run_id"])])
-        curves = curves.sort_values(["run_id", "step"], ignore_index=True)
-        episodes = _read_episodes(folder / "outcomes.csv.gz", runs)
-        return Results(runs, curves, episodes, uri, problems, about)
 
 
 def refuse_foreign(folder: Path) -> None:
@@ -126,40 +126,52 @@ def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs without columns that name a place, with the config as text, like MLflow's
     parameters.
     """
-    kept = runs.drop(columns=[name for name in LOCAL_COLUMNS if name in runs])
+    kept = runs.drop(columns=[*LOCAL_COLUMNS], errors="ignore")
     config = kept.filter(regex=r"^config\.").astype(object)
     kept = kept.assign(**config.where(config.notna(), None).map(setting_text))
     texts = kept.select_dtypes(["object", "string"]).drop(columns=LABEL_COLUMNS, errors="ignore")
-    return kept.assign(
-        **{str(name): texts[name].map(without_paths, na_action="ignore") for name in texts}
-    )
+    return kept.assign(**texts.map(without_paths, na_action="ignore"))
+
+
+def _exported_outcomes(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Return the outcomes of final episodes, with a column for each run: equal columns compress to
+    almost nothing.
+    """
+    final = episodes[episodes["phase"] == "final"].astype({"run_id": str})
+    return final.pivot(index=EPISODE_SEED, columns="run_id", values="outcome").reset_index()
 
 
 def _without_unknown(frame: pd.DataFrame, metrics: Iterable[str]) -> pd.DataFrame:
     """Return a frame without the metrics that none of its runs has, such as other tasks'; reading
     adds them again.
     """
-    return frame.drop(
-        columns=[name for name in metrics if name in frame and frame[name].isna().all()]
-    )
+    unknown = [name for name in metrics if name in frame and frame[name].isna().all()]
+    return frame.drop(columns=unknown)
 
 
 def _read_runs(path: Path) -> pd.DataFrame:
-    timestamps = dict.fromkeys(("started", "ended"), TEXT)  # `read_csv` has no such type
-    types = defaultdict(lambda: TEXT, {**RUN_TYPES, **timestamps})
+    timestamps = ["started", "ended"]
+    types = defaultdict(lambda: TEXT, {**RUN_TYPES, **dict.fromkeys(timestamps, TEXT)})
     runs = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=[""])
     for name in timestamps:
         runs[name] = pd.to_datetime(runs[name], format="ISO8601", utc=True)
-    others = sorted(name for name in map(str, runs) if name.startswith(("version.", "config.")))
-    for name in others:
-        if name.startswith("config."):
-            texts = runs[name].astype(object).where(runs[name].notna(), None)
-            runs[name] = config_column(texts, name.removeprefix("config."))
-    others.sort(key=lambda name: name.startswith("config."))
-    of_other_tasks = {name: np.nan for name in FINAL.values() if name not in runs}
-    whole = runs.assign(run_dir=None, artifact_uri=None, **of_other_tasks)
+    versions = sorted(map(str, runs.filter(regex=r"^version\.")))
+    settings = sorted(map(str, runs.filter(regex=r"^config\.")))
+    for name in settings:
+        texts = runs[name].astype(object).where(runs[name].notna(), None)
+        runs[name] = config_column(texts, name.removeprefix("config."))
+    runs = runs.assign(run_dir=None, artifact_uri=None)
+    for name in FINAL.values():
+        if name not in runs:
+            runs[name] = np.nan  # of other tasks
     columns = RUN_TYPES | dict.fromkeys(added_metrics(runs.columns), "float64")
-    return whole[[*columns, *others]].astype(columns)
+    return runs[[*columns, *versions, *settings]].astype(columns)
+
+
+def _read_curves(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
+    curves = pd.read_csv(path, dtype=CURVE_TYPES, float_precision="round_trip")
+    curves = typed_curves(curves[curves["run_id"].isin(runs["run_id"])])
+    return curves.sort_values(["run_id", "step"], ignore_index=True)
 
 
 def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
@@ -169,7 +181,7 @@ def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
         ignore_index=True
     )
     steps = long["run_id"].map(runs.set_index("run_id")["steps"])
-    ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
-    frame = long.assign(step=steps, phase="final").astype({"run_id": ids}).dropna(subset="run_id")
+    frame = long.assign(step=steps, phase="final").astype({"run_id": run_category(runs["run_id"])})
+    frame = frame.dropna(subset="run_id")
     frame = frame.astype(REQUIRED).sort_values(["run_id", EPISODE_SEED], ignore_index=True)
     return frame.reindex(columns=["run_id", *EPISODES])

@@ -64,6 +64,8 @@ DOWNLOADS_AT_ONCE = 16
 RATE = re.compile(r"^\d+\.\d% ")  # in front of the names of finished runs
 TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 """Tags of every run of this package; other runs are ignored."""
+TAG_COLUMNS = ("cell", "run_key", "seed", "status", "git_commit", "git_dirty", "cpu")
+"""Tags that are columns of `runs` as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,50 +109,35 @@ def load(
 
 def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results:
     """Read runs from a store; see `load`."""
-    if (path := database(store.uri)) is not None and not path.is_file():
+    path = database(store.uri)
+    if path is not None and not path.is_file():
         raise ResultsError(
             f"there is no store {path}; train something first, or name another output_dir or store"
         )
     with as_results_error(f"the store {store.uri} can't be read"):
         prepare(store)
-        ids = _chosen(store, experiments)
-        stored = store.runs(ids.values())
-        kept = [
-            run
-            for run in stored
-            if run.info.lifecycle_stage == "active" and _is_from_this_package(run)
-        ]
-        if not kept:
+        ids = _choose_experiments(store, experiments)
+        stored = [run for run in store.runs(ids.values()) if _is_from_this_package(run)]
+        if not stored:
             searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
             raise ResultsError(f"{searched}: it has no runs of parking_exp")
-        runs = _runs(
-            kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir
-        )
+        runs = _make_runs(store, stored, ids)
+
     configs, config_problems = _read_files(store, runs, CONFIG_FILE, config_reader())
-    runs = _with_configs(runs, configs)
     logs, log_problems = _read_files(store, runs, METRICS_FILE, read_points)
-    points = [{"run_id": run_id, **point} for run_id, log in logs.items() for point in log]
-    curves = typed_curves(pd.DataFrame(points))
-    curves = curves.dropna(how="all", subset=[*CURVE.values()]).sort_values(
-        ["run_id", "step"], ignore_index=True
+    finished = runs[runs["status"] != "running"]
+    tables, table_problems = _read_files(store, finished, EPISODES_FILE, read_episodes)
+
+    points = _make_points(logs)
+    last_steps = points.groupby("run_id")["step"].max()
+    runs["steps"] = runs["run_id"].map(last_steps).fillna(0).astype("int64")
+    return Results(
+        runs=_with_configs(runs, configs),
+        curves=_make_curves(points),
+        episodes=_make_episodes(tables, runs["run_id"]),
+        uri=store.uri,
+        problems=(*_duplicates(runs), *config_problems, *log_problems, *table_problems),
     )
-    steps = {
-        run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()
-    }
-    runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
-    tables, table_problems = _read_files(
-        store, runs[runs["status"] != "running"], EPISODES_FILE, read_episodes
-    )
-    run_ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
-    types = dict(EPISODES)
-    for table in tables.values():
-        for name, dtype in table.dtypes.items():
-            types.setdefault(str(name), dtype)
-    none = pd.DataFrame(columns=["run_id", *types]).astype(types)
-    parts = [none, *(table.assign(run_id=run_id) for run_id, table in tables.items())]
-    episodes = pd.concat(parts, ignore_index=True).astype({"run_id": run_ids, **CATEGORIES})
-    problems = (*_duplicates(runs), *config_problems, *log_problems, *table_problems)
-    return Results(runs, curves, episodes, store.uri, problems)
 
 
 def typed_curves(curves: pd.DataFrame) -> pd.DataFrame:
@@ -170,7 +157,7 @@ def as_results_error(what: str) -> Iterator[None]:
         raise ResultsError(f"{what}: {reason(error)}") from error
 
 
-def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
+def _choose_experiments(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
     ids = store.experiments()
     if experiments is None:
         return ids
@@ -186,12 +173,11 @@ def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, 
 
 
 def _is_from_this_package(run: "Run") -> bool:
+    """Return whether a run that is not deleted is one of this package."""
     tags = run.data.tags
-    return (
-        all(name in tags for name in TAGS)
-        and tags["status"] in STATUSES
-        and tags["seed"].isdecimal()
-    )
+    if run.info.lifecycle_stage != "active" or any(name not in tags for name in TAGS):
+        return False
+    return tags["status"] in STATUSES and tags["seed"].isdecimal()
 
 
 def config_column(texts: Iterable[str | None], key: str = "") -> pd.Series:
@@ -212,51 +198,55 @@ def _setting_column(values: Sequence[Setting]) -> pd.Series:
     return pd.Series(values, dtype=object if None in values else None)
 
 
-def _runs(
-    stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]
-) -> pd.DataFrame:
+def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) -> pd.DataFrame:
     """Return `Results.runs` without what comes from files: the config and `steps`."""
+    names = {experiment_id: name for name, experiment_id in ids.items()}
     keys = chain.from_iterable(run.data.metrics for run in stored)
     added = added_metrics(keys, "final/")
-    final_keys = FINAL | {f"final/{name}": name for name in added}
+    final = FINAL | {f"final/{name}": name for name in added}
     types = RUN_TYPES | dict.fromkeys(added, "float64")
 
     rows = []
     for run in stored:
-        info, tags, metrics = run.info, run.data.tags, run.data.metrics
-        final = final_keys if tags["status"] == "done" else {}
-        path = run_dir(run)
-        rows.append(
-            {
-                name: tags.get(name)
-                for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")
-            }
-            | {
-                "run_id": info.run_id,
-                "name": RATE.sub("", info.run_name or ""),
-                "experiment": names[info.experiment_id],
-            }
-            | {"error": tags.get("error") or None, "steps": 0}
-            | dict.fromkeys(CONFIGURED.values())
-            | {column: metrics.get(key) for key, column in (final | COST).items()}
-            | {"started": info.start_time, "ended": info.end_time}
-            | {"run_dir": str(path) if path else None, "artifact_uri": info.artifact_uri}
-            | {"git_dirty": {"true": True, "false": False}.get(tags.get("git_dirty", ""))}
-        )
+        row = _make_row(run, final)
+        row["experiment"] = names[run.info.experiment_id]
+        run_dir = store.run_dir(run)
+        row["run_dir"] = str(run_dir) if run_dir else None
+        rows.append(row)
     runs = pd.DataFrame(rows, columns=[*types], dtype=object)
+    runs["git_dirty"] = runs["git_dirty"].map({"true": True, "false": False})
     for name in ("started", "ended"):
-        runs[name] = pd.to_datetime(
-            runs[name].astype("Int64"), unit="ms", utc=True, errors="coerce"
-        )
-    versions = sorted(
-        {name for run in stored for name in run.data.tags if name.startswith("version.")}
-    )
-    described = {
-        name: pd.Series([run.data.tags.get(name) for run in stored], dtype=TEXT)
-        for name in versions
-    }
-    runs = pd.concat([runs.astype(types), pd.DataFrame(described)], axis=1)
+        milliseconds = runs[name].astype("Int64")
+        runs[name] = pd.to_datetime(milliseconds, unit="ms", utc=True, errors="coerce")
+    runs["steps"] = 0
+    runs = runs.astype(types)
+
+    tags = pd.DataFrame([run.data.tags for run in stored])
+    versions = tags.filter(regex=r"^version\.").sort_index(axis="columns").astype(TEXT)
+    runs = pd.concat([runs, versions], axis=1)
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
+
+
+def _make_row(run: "Run", final: Mapping[str, str]) -> dict[str, Any]:
+    """Return what MLflow itself has of a run, by column; times in ms.
+
+    `final` has the columns of the metrics of a finished run.
+    """
+    info = run.info
+    tags = run.data.tags
+    metrics = COST
+    if tags["status"] == "done":
+        metrics = {**final, **COST}
+    row: dict[str, Any] = {name: tags.get(name) for name in TAG_COLUMNS}
+    row["error"] = tags.get("error") or None
+    for key, column in metrics.items():
+        row[column] = run.data.metrics.get(key)
+    row["run_id"] = info.run_id
+    row["name"] = RATE.sub("", info.run_name or "")
+    row["started"] = info.start_time
+    row["ended"] = info.end_time
+    row["artifact_uri"] = info.artifact_uri
+    return row
 
 
 def _with_configs(runs: pd.DataFrame, configs: Mapping[str, Config]) -> pd.DataFrame:
@@ -265,8 +255,9 @@ def _with_configs(runs: pd.DataFrame, configs: Mapping[str, Config]) -> pd.DataF
     for key, column in CONFIGURED.items():
         counts = [_count(row.get(key)) for row in rows]
         runs[column] = pd.Series(counts, dtype="Int64")
-    keys = sorted({key for row in rows for key in row})
-    columns = {f"config.{key}": _setting_column([row.get(key) for row in rows]) for key in keys}
+    columns = {}
+    for key in sorted(set().union(*rows)):
+        columns[f"config.{key}"] = _setting_column([row.get(key) for row in rows])
     return pd.concat([runs, pd.DataFrame(columns)], axis=1)
 
 
@@ -279,26 +270,64 @@ def _count(value: Setting) -> int | None:
     return None
 
 
+def _make_points(logs: Mapping[str, Sequence[Mapping[str, Any]]]) -> pd.DataFrame:
+    """Return a row for each point in the logs of runs, which are given by run id."""
+    rows = []
+    for run_id, points in logs.items():
+        rows += [{"run_id": run_id, **point} for point in points]
+    return typed_curves(pd.DataFrame(rows))
+
+
+def _make_curves(points: pd.DataFrame) -> pd.DataFrame:
+    """Return `Results.curves`: the points that are evaluations."""
+    evaluations = points.dropna(how="all", subset=[*CURVE.values()])
+    return evaluations.sort_values(["run_id", "step"], ignore_index=True)
+
+
+def _make_episodes(tables: Mapping[str, pd.DataFrame], run_ids: pd.Series) -> pd.DataFrame:
+    """Return `Results.episodes` from the tables of runs, in the order of all run ids."""
+    columns = dict(EPISODES)
+    for table in tables.values():
+        for name, dtype in table.dtypes.items():
+            columns.setdefault(str(name), dtype)  # metrics of users
+
+    # Without any table, columns have their types nevertheless.
+    parts = [pd.DataFrame(columns=["run_id", *columns]).astype(columns)]
+    parts += [table.assign(run_id=run_id) for run_id, table in tables.items()]
+    types = {"run_id": run_category(run_ids), **CATEGORIES}
+    return pd.concat(parts, ignore_index=True).astype(types)
+
+
+def run_category(run_ids: pd.Series) -> pd.CategoricalDtype:
+    """Return the type of run ids in episodes."""
+    return pd.CategoricalDtype(pd.Index(run_ids.to_list(), dtype="str"))
+
+
 def _read_files(
     store: Store, runs: pd.DataFrame, name: str, parse: Callable[[bytes], Any]
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the parsed artifact of each run that has it, by run id, and a sentence for each one
     that is damaged.
     """
-    records, parsed, problems = runs.to_dict("records"), dict[str, Any](), list[str]()
-    with ThreadPoolExecutor(
-        1 if database(store.uri) else DOWNLOADS_AT_ONCE
-    ) as pool:  # more cost CPU time locally
-        files = [
-            pool.submit(store.artifact, run["run_id"], run["artifact_uri"], name) for run in records
-        ]
-        for run, file in zip(records, files, strict=True):
-            problem = f"{name} is missing in the store" if run["status"] == "done" else None
-            try:
-                if (content := file.result()) is not None:
-                    parsed[run["run_id"]], problem = parse(content), None
-            except Exception as error:
-                problem = f"{name} can't be read: {reason(error)}"
+
+    def read(run: Mapping[Any, Any]) -> tuple[Any, str | None]:
+        try:
+            content = store.artifact(run["run_id"], run["artifact_uri"], name)
+            if content is not None:
+                return parse(content), None
+        except Exception as error:
+            return None, f"{name} can't be read: {reason(error)}"
+        return None, f"{name} is missing in the store" if run["status"] == "done" else None
+
+    records = runs.to_dict("records")
+    parsed = {}
+    problems = []
+    # More threads cost CPU time where files are local.
+    n_threads = 1 if database(store.uri) else DOWNLOADS_AT_ONCE
+    with ThreadPoolExecutor(n_threads) as pool:
+        for run, (value, problem) in zip(records, pool.map(read, records), strict=True):
+            if value is not None:
+                parsed[run["run_id"]] = value
             if problem:
                 problems.append(
                     f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}"
