@@ -26,7 +26,7 @@ from parking_exp import statistics
 from parking_exp.reports import formats
 from parking_exp.reports.cell_comparisons import seed_rates
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.report_data import Cell, Pair, ReportData
+from parking_exp.reports.report_data import CellSummary, Pair, ReportData
 from parking_exp.results import Results, read_export
 from parking_exp.terminal import say
 
@@ -87,7 +87,7 @@ class Experiment:
             build_report(self.results, self.report.experiments, cells=cells, baseline=baseline),
         )
 
-    def cell(self, label: str) -> Cell:
+    def cell(self, label: str) -> CellSummary:
         """Return the cell with a label."""
         return next(cell for cell in self.report.cells if cell.label == label)
 
@@ -179,7 +179,7 @@ class Experiment:
         lines += [[value, *(rates.get((value, other), "") for other in columns)] for value in rows]
         return "\n".join(map(_row, lines))
 
-    def _setting(self, cell: Cell, key: str) -> str:
+    def _setting(self, cell: CellSummary, key: str) -> str:
         value: Any = self._runs.at[cell.seeds[0].run_id, f"config.{key}"]
         return (
             ""
@@ -326,7 +326,7 @@ def _filled(item: str) -> str:
     return lines.replace(NO_BREAK, " ")
 
 
-def _range(cell: Cell, metric: str) -> str:
+def _range(cell: CellSummary, metric: str) -> str:
     """Return a mean rate with its lowest and highest seed, for a table."""
     rates = [seed.metric(metric) or 0.0 for seed in cell.seeds]
     mean, low, high = (

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from parking_exp.config.cell_labels import Factor
 from parking_exp.errors import plural
-from parking_exp.reports.report_data import Cell, Pair, Verdict
+from parking_exp.reports.report_data import CellSummary, Pair, Verdict
 from parking_exp.statistics import (
     Difference,
     MainEffect,
@@ -43,14 +43,14 @@ class Family(NamedTuple):
         declared: whether they are contrasts, which were chosen before the results were seen.
     """
 
-    couples: Sequence[tuple[Cell, Cell]] = ()
+    couples: Sequence[tuple[CellSummary, CellSummary]] = ()
     sentence: str = ""
     reference: str | None = None
     declared: bool = False
 
 
 def choose_family(
-    cells: Sequence[Cell], baseline: str | None, contrasts: Sequence[tuple[str, str]]
+    cells: Sequence[CellSummary], baseline: str | None, contrasts: Sequence[tuple[str, str]]
 ) -> Family:
     """Return the pairs that a report compares, of cells given by their ids.
 
@@ -78,7 +78,7 @@ def choose_family(
     return Family(couples, FAMILY.format(words))
 
 
-def _compare_with(reference: Cell, rated: Mapping[str, Cell], name: str) -> Family:
+def _compare_with(reference: CellSummary, rated: Mapping[str, CellSummary], name: str) -> Family:
     couples = [(cell, reference) for cell in rated.values() if cell is not reference]
     if not couples:
         return Family()
@@ -86,7 +86,7 @@ def _compare_with(reference: Cell, rated: Mapping[str, Cell], name: str) -> Fami
     return Family(couples, FAMILY.format(words), reference.id)
 
 
-def compare_pairs(couples: Sequence[tuple[Cell, Cell]]) -> list[Pair]:
+def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pair]:
     """Return the comparisons of a family, each corrected for all of them."""
     rates = [(seed_rates(a), seed_rates(b)) for a, b in couples]
     differences = compare([([a], [b]) for a, b in rates], SIGNIFICANT)
@@ -109,7 +109,7 @@ def compare_pairs(couples: Sequence[tuple[Cell, Cell]]) -> list[Pair]:
     ]
 
 
-def seed_rates(cell: Cell) -> SeedRates:
+def seed_rates(cell: CellSummary) -> SeedRates:
     """Return the final success of a cell's seeds, and the fewest episodes of one."""
     seeds = [seed for seed in cell.seeds if seed.success is not None]
     rates = [seed.success or 0.0 for seed in seeds]
@@ -125,7 +125,7 @@ def _judge(difference: Difference) -> Verdict:
     return "a" if difference.value > 0 else "b"
 
 
-def compare_levels(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainEffect]:
+def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> list[MainEffect]:
     """Return what each factor does on average over the others.
 
     There is nothing unless factors are crossed, or one number has three levels. A control without

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.reports.cell_selection import CellRuns
-from parking_exp.reports.report_data import Cell, Curve, RunSummary
+from parking_exp.reports.report_data import CellSummary, Curve, RunSummary
 from parking_exp.results.frames import Results
 from parking_exp.statistics import (
     Interval,
@@ -37,7 +37,7 @@ REPORTED: dict[str, Metric] = {
     for metric in METRICS
     if metric.in_reports
 }
-"""Metrics of reports by their names in `Cell` and `RunSummary`."""
+"""Metrics of reports by their names in `CellSummary` and `RunSummary`."""
 FIELDS = {field.name for field in fields(RunSummary)}
 FURTHER = [name for name in REPORTED if name not in FIELDS]
 """Those without a field of their own, which only some tasks have."""
@@ -69,7 +69,7 @@ def _group_by_run(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def summarise_cell(
     cell: CellRuns, cell_id: str, evaluations: RunEvaluations, *, unfinished: bool
-) -> Cell:
+) -> CellSummary:
     """Return a cell's numbers; with `unfinished`, its learning curve includes runs not done."""
     seeds = [_summarise_run(run, evaluations) for run in cell.done.to_dict("records")]
     success = [seed.success for seed in seeds if seed.success is not None]
@@ -78,7 +78,7 @@ def summarise_cell(
     for name in [*REPORTED, *added_metrics(cell.done.columns)]:
         values = [seed.metric(name) for seed in seeds]
         means[name] = _average(values, is_rate(name), n_episodes)
-    return Cell(
+    return CellSummary(
         id=cell_id,
         label=cell.label,
         experiment=cell.experiment,

@@ -6,7 +6,7 @@ from parking_exp.config.cell_labels import setting
 from parking_exp.errors import quoted_label
 from parking_exp.reports.cell_comparisons import SIGNIFICANT
 from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
-from parking_exp.reports.report_data import Cell, Pair, ReportData
+from parking_exp.reports.report_data import CellSummary, Pair, ReportData
 from parking_exp.reports.report_warnings import ENOUGH_SEEDS, FEW_NAMES, list_names
 
 TOO_FEW = ": that needs two finished seeds of each."
@@ -36,7 +36,7 @@ def _describe_cells(report: ReportData) -> Iterator[str]:
         yield "No finished run has a final success rate."
 
 
-def _describe_best(rated: Sequence[Cell]) -> str:
+def _describe_best(rated: Sequence[CellSummary]) -> str:
     best = rated[0]
     rate = rate_interval(best.success)
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
@@ -50,7 +50,7 @@ def _describe_best(rated: Sequence[Cell]) -> str:
     return f"{name} has the highest final success: {rate} of the episodes, {seeds}."
 
 
-def _orient_pairs(report: ReportData, best: Cell) -> list[Pair]:
+def _orient_pairs(report: ReportData, best: CellSummary) -> list[Pair]:
     """Return the declared pairs, else those that begin or end with the reference or the best cell.
 
     That cell is then the first of each.

@@ -15,7 +15,7 @@ from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.cell_summaries import split_by_run, summarise_cell
 from parking_exp.reports.findings import describe_findings
 from parking_exp.reports.provenance import collect_provenance
-from parking_exp.reports.report_data import Cell, ReportData
+from parking_exp.reports.report_data import CellSummary, ReportData
 from parking_exp.results.frames import Results
 
 MAX_PROBLEMS = 5
@@ -151,13 +151,13 @@ def _select(
     )
 
 
-def _refuse_unfinished(cells: Sequence[Cell], override: str, hint: str = "") -> None:
+def _refuse_unfinished(cells: Sequence[CellSummary], override: str, hint: str = "") -> None:
     if not any(cell.counts["done"] for cell in cells):
         n_runs = sum(sum(cell.counts.values()) for cell in cells)
         raise RunNotFoundError(f"{override}: of its {plural(n_runs, 'run')}, none is done{hint}")
 
 
-def _choose_shown(cells: Sequence[Cell], always: Collection[str | None]) -> list[str]:
+def _choose_shown(cells: Sequence[CellSummary], always: Collection[str | None]) -> list[str]:
     """Return the ids of the cells in figures, in the order of the report: all, or the best of many.
 
     Of many, those in `always` are shown, too, and controls, which lack one of the keys.

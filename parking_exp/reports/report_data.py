@@ -60,7 +60,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Cell:
+class CellSummary:
     """One cell of the comparison."""
 
     id: str  # `c0`, `c1`, ... in the order of the report; colours follow from it
@@ -163,7 +163,7 @@ class ReportData:
     quick: bool  # whether it was made while runs may be under way
     command: str  # makes it again
     factors: Sequence[Factor]
-    cells: Sequence[Cell]
+    cells: Sequence[CellSummary]
     tasks: Sequence[str]  # of the cells, by name
     shown: Sequence[str]  # ids of the cells in figures: all or, of many, some
     baseline: str | None  # id of the cell that the user asked to compare with
@@ -179,7 +179,7 @@ class ReportData:
     declared: bool = False  # whether the pairs are contrasts
     tuning: "StoredSearch | None" = None
 
-    def cell(self, cell_id: str) -> Cell:
+    def cell(self, cell_id: str) -> CellSummary:
         """Return a cell by its id."""
         return next(cell for cell in self.cells if cell.id == cell_id)
 
@@ -194,7 +194,7 @@ class ReportData:
         return {cell.id: cell.label for cell in self.cells}
 
     @property
-    def shown_cells(self) -> list[Cell]:
+    def shown_cells(self) -> list[CellSummary]:
         """The cells that figures show."""
         return [cell for cell in self.cells if cell.id in self.shown]
 

@@ -34,8 +34,8 @@ def write_report(
     numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as temporary:
         new = Path(temporary)
-        pictures = draw(report, new / "figures", formats, sections)
-        contents = section_contents(report, pictures, sections)
+        figures = draw(report, new / "figures", formats, sections)
+        contents = section_contents(report, figures, sections)
         write_tables(contents, new / "tables")
         html = render_page(report, contents)
         for name in ("figures", "tables"):

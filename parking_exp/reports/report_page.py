@@ -20,7 +20,7 @@ MARKERS = {"o": "●", "s": "■", "^": "▲", "D": "◆", "v": "▼", "P": "✚
 def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
     """Return `index.html`.
 
-    Everything is escaped. Pictures are embedded as images, in which nothing is executed.
+    Everything is escaped. Figures are embedded as images, in which nothing is executed.
     """
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
@@ -42,7 +42,7 @@ def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
         style=Markup(style),
         script=Markup(script),
         script_hash=_to_base64(hashlib.sha256(script.encode()).digest()),
-        sections=[part for part in contents if part.text or part.pictures or part.readable_tables],
+        sections=[part for part in contents if part.text or part.figures or part.readable_tables],
         swatches=swatches,
     )
 

@@ -11,7 +11,7 @@ import matplotlib.figure
 
 from parking_exp.config.constructor_arguments import import_object
 from parking_exp.errors import ConfigError
-from parking_exp.figure_style import Drawing, clean, report_style
+from parking_exp.figure_style import SectionFigure, clean, report_style
 from parking_exp.reports.cell_summaries import HOLD
 from parking_exp.reports.figures.cell_figures import (
     draw_final_success,
@@ -30,16 +30,7 @@ from parking_exp.reports.search_report import describe_search, retest_table, tri
 from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table, cell_record, without_constants
 from parking_exp.tasks.registry import task_reports
-from parking_exp.tasks.task import TaskFigure, TaskSection
-
-
-@dataclass(frozen=True)
-class SectionFigure:
-    """A figure of a section; where `draw` gives several, their names are `NAME`, `NAME_2`, ..."""
-
-    name: str
-    title: str
-    draw: Callable[[ReportData], Iterable[Drawing]]
+from parking_exp.tasks.task import TaskSection
 
 
 @dataclass(frozen=True)
@@ -177,11 +168,8 @@ def _adapt_section(section: TaskSection) -> Section:
     return Section(
         section.id,
         section.title,
-        tables=[partial(_list_task_rows, section.table)] if section.table else [],
-        figures=[
-            SectionFigure(figure.name, figure.title, partial(_draw_shown_cells, figure))
-            for figure in section.figures
-        ],
+        tables=[partial(_list_task_rows, section.table)],
+        figures=section.figures,
     )
 
 
@@ -192,13 +180,9 @@ def _list_task_rows(name: str, report: ReportData) -> Iterator[Table]:
     yield Table(name, rows)
 
 
-def _draw_shown_cells(figure: TaskFigure, report: ReportData) -> Iterator[Drawing]:
-    return figure.draw(report.shown_cells)
-
-
 @dataclass(frozen=True)
-class Picture:
-    """One figure of a report, drawn; its caption is plain text, to be escaped."""
+class DrawnFigure:
+    """A figure of a report that has been drawn; its caption is plain text, to be escaped."""
 
     name: str
     title: str
@@ -215,7 +199,7 @@ class SectionContent:
     title: str
     text: Sequence[str]
     tables: Sequence[Table]
-    pictures: Sequence[Picture]
+    figures: Sequence[DrawnFigure]
 
     @property
     def readable_tables(self) -> list[Table]:
@@ -224,7 +208,9 @@ class SectionContent:
 
 
 def section_contents(
-    report: ReportData, pictures: Sequence[Picture] = (), sections: Sequence[Section] | None = None
+    report: ReportData,
+    figures: Sequence[DrawnFigure] = (),
+    sections: Sequence[Section] | None = None,
 ) -> list[SectionContent]:
     """Return what sections say of a report, by default all of them."""
     contents = []
@@ -232,9 +218,9 @@ def section_contents(
         tables: list[Table] = []
         for list_tables in section.tables:
             tables += list_tables(report)
-        own_pictures = [picture for picture in pictures if picture.section == section.id]
+        own_figures = [figure for figure in figures if figure.section == section.id]
         text = list(section.text(report))
-        contents.append(SectionContent(section.id, section.title, text, tables, own_pictures))
+        contents.append(SectionContent(section.id, section.title, text, tables, own_figures))
     return contents
 
 
@@ -243,20 +229,26 @@ def draw(
     folder: Path,
     formats: Sequence[str] = ("svg", "png"),
     sections: Sequence[Section] | None = None,
-) -> list[Picture]:
+) -> list[DrawnFigure]:
     """Draw the figures that a report has data for into a folder, as `<name>.<format>`."""
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = []
+    drawn: list[DrawnFigure] = []
     with report_style(), warnings.catch_warnings():
         # A box stands for what the font lacks; browsers have other fonts.
         warnings.filterwarnings("ignore", "Glyph")
         for section in sections_of(report) if sections is None else sections:
-            for kind in section.figures:
-                for number, (figure, caption) in enumerate(kind.draw(report), start=1):
-                    name = kind.name if number == 1 else f"{kind.name}_{number}"
-                    svg = _save(figure, folder / name, formats)
-                    pictures.append(Picture(name, kind.title, clean(caption), svg, section.id))
-    return pictures
+            for figure in section.figures:
+                drawn += _draw_figure(figure, section.id, report, folder, formats)
+    return drawn
+
+
+def _draw_figure(
+    figure: SectionFigure, section: str, report: ReportData, folder: Path, formats: Sequence[str]
+) -> Iterator[DrawnFigure]:
+    for number, (drawing, caption) in enumerate(figure.draw(report), start=1):
+        name = figure.name if number == 1 else f"{figure.name}_{number}"
+        svg = _save(drawing, folder / name, formats)
+        yield DrawnFigure(name, figure.title, clean(caption), svg, section)
 
 
 def _save(figure: matplotlib.figure.Figure, stem: Path, formats: Sequence[str]) -> bytes:

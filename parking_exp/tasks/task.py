@@ -12,8 +12,9 @@ from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
     from stable_baselines3.common.vec_env import VecEnv
+
+    from parking_exp.figure_style import SectionFigure
 
 Observation = dict[str, np.ndarray]
 """`observation`, `achieved_goal`, `desired_goal`; each of shape (...) or (batch, ...)."""
@@ -173,15 +174,6 @@ class Task(ABC):
 
 
 @dataclass(frozen=True)
-class TaskFigure:
-    """A figure of a report, drawn from the cells that it shows."""
-
-    name: str
-    title: str
-    draw: Callable[[Sequence[Any]], Iterator["tuple[Figure, str]"]]
-
-
-@dataclass(frozen=True)
 class TaskSection:
     """A section of reports that one task has: figures, and a CSV table of the rows, dicts, in each
     cell's data.
@@ -189,8 +181,8 @@ class TaskSection:
 
     id: str
     title: str
-    figures: Sequence[TaskFigure]
-    table: str | None = None  # its name, in a cell's data, too
+    figures: Sequence["SectionFigure"]
+    table: str  # its name, in a cell's data, too
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def three():
 def drawn(three, tmp_path_factory):
     """The folder of its figures' files, and the figures by name."""
     folder = tmp_path_factory.mktemp("three") / "figures"
-    return folder, {picture.name: picture for picture in draw(three, folder)}
+    return folder, {figure.name: figure for figure in draw(three, folder)}
 
 
 def axes_of(draw_figure, report):
@@ -164,7 +164,7 @@ def test_the_map_has_failures_by_slot(three):
     slots = list(cell.task_data["slots"])
     slots[5] = slots[5] | {"n": 0, "success": None, "crash": None, "timeout": None}
     cell = replace(cell, task_data={**cell.task_data, "slots": slots})
-    axes, *_ = axes_of(lot_figures.draw_scene_map, [cell])
+    axes, *_ = axes_of(lot_figures.draw_scene_map, replace(three, cells=[cell]))
     rates = [100 * (row["crash"] + row["timeout"]) for row in slots if row["n"]]
     shown = axes.collections[1].get_array().filled(np.nan)
     assert np.isnan(shown[5])

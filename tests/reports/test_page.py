@@ -8,7 +8,7 @@ from support import report_factory
 from support.marks import slow_but
 
 from parking_exp.reports.report_page import render_page
-from parking_exp.reports.sections import Picture, section_contents
+from parking_exp.reports.sections import DrawnFigure, section_contents
 
 ARGUMENTS = [
     "--no-sandbox",
@@ -22,8 +22,8 @@ SECTIONS = {
     "scene_map": "scenes",
 }  # fmt: skip
 SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="490" height="200"><circle cx="90" cy="80" r="20"/></svg>'
-PICTURES = [
-    Picture(name, name.replace("_", " ").capitalize(), "Each point is a seed.", SVG, section)
+FIGURES = [
+    DrawnFigure(name, name.replace("_", " ").capitalize(), "Each point is a seed.", SVG, section)
     for name, section in SECTIONS.items()
 ]
 
@@ -55,7 +55,7 @@ def files(tmp_path_factory):
         if not path.exists():
             report = getattr(report_factory, name)()
             path.write_text(
-                render_page(report, section_contents(report, PICTURES)), encoding="utf-8"
+                render_page(report, section_contents(report, FIGURES)), encoding="utf-8"
             )
         return path
 
@@ -204,7 +204,7 @@ def test_the_page_is_complete_without_javascript(show):
     widths = tab.locator("figure img").evaluate_all(
         "images => images.map(image => image.naturalWidth)"
     )
-    assert widths == [490] * len(PICTURES)
+    assert widths == [490] * len(FIGURES)
     assert (
         tab.locator("#figure-pairwise img").get_attribute("alt")
         == "Pairwise. Each point is a seed."

@@ -4,12 +4,11 @@ import pytest
 from support import report_factory
 
 from parking_exp.errors import ConfigError
-from parking_exp.figure_style import new_figure
+from parking_exp.figure_style import SectionFigure, new_figure
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import (
     Section,
-    SectionFigure,
     draw,
     load_sections,
     section_contents,

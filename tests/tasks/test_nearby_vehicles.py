@@ -241,7 +241,7 @@ def test_rates_by_number_of_vehicles_and_their_figure():
         SimpleNamespace(id="c0", label="sac", task_data={"vehicles": rates}),
         SimpleNamespace(task_data={}),
     ]
-    ((figure, _),) = draw_vehicle_rates(cells)
+    ((figure, _),) = draw_vehicle_rates(SimpleNamespace(shown_cells=cells))
     success, crash = figure.axes
     assert success.lines[0].get_xydata().tolist() == [[0, 100], [1, 0], [2, 0]]
     assert crash.lines[0].get_xydata().tolist() == [[0, 0], [1, 100], [2, 0]]

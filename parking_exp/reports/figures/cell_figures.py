@@ -21,7 +21,7 @@ from parking_exp.figure_style import (
     time_axis,
     wrapped_labels,
 )
-from parking_exp.reports.report_data import Cell, Curve, ReportData
+from parking_exp.reports.report_data import CellSummary, Curve, ReportData
 from parking_exp.statistics import SurvivalCurve
 from parking_exp.tasks.registry import FAILURES
 
@@ -63,7 +63,7 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     )
 
 
-def _draw_seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
+def _draw_seeds_and_mean(axes: Axes, row: int, cell: CellSummary) -> None:
     """Draw the seeds of a cell in the upper half of its row, and its mean in the lower half."""
     style = cell_style(cell.id)
     rates = [100 * seed.success for seed in cell.seeds if seed.success is not None]
@@ -123,7 +123,7 @@ def _draw_curve(
     failure.plot(curve.step, percentages(curve.failure), markevery=every, **style.lines)
 
 
-def _new_figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
+def _new_figure_with_legend(height: float, cells: Sequence[CellSummary]) -> Figure:
     """Return a figure with a legend of the cells at the right, at least as high as that."""
     labels = wrapped_labels(cells, 32, lines=8)
     legend_height = 0.4
@@ -156,7 +156,7 @@ def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
     )
 
 
-def _draw_survival(axes: Axes, cell: Cell, curve: SurvivalCurve) -> None:
+def _draw_survival(axes: Axes, cell: CellSummary, curve: SurvivalCurve) -> None:
     style = cell_style(cell.id)
     censored = []
     for seed in cell.seeds:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from parking_exp.reports import formats
 from parking_exp.reports.cell_summaries import FURTHER, heading, is_rate
-from parking_exp.reports.report_data import Cell, ReportData
+from parking_exp.reports.report_data import CellSummary, ReportData
 from parking_exp.reports.tables.table import (
     PERCENT,
     Column,
@@ -169,7 +169,7 @@ def survival(report: ReportData) -> Iterator[Table]:
     yield Table("survival", rows)
 
 
-def _list_points(cell: Cell, **numbers: Sequence[Any]) -> list[Row]:
+def _list_points(cell: CellSummary, **numbers: Sequence[Any]) -> list[Row]:
     """Return a row for each point of a curve."""
     points: Any = pd.DataFrame(numbers).to_dict("records")
     return [cell_record(cell) | point for point in points]

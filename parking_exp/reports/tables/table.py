@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from parking_exp.figure_style import clean
 from parking_exp.reports import formats
-from parking_exp.reports.report_data import Cell
+from parking_exp.reports.report_data import CellSummary
 from parking_exp.statistics import Interval, finite_or_none
 
 PERCENT = "with 95 % intervals over seeds in brackets"
@@ -100,7 +100,7 @@ def spread(name: str, interval: Interval) -> dict[str, float | None]:
     return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
-def cell_record(cell: Cell) -> dict[str, Any]:
+def cell_record(cell: CellSummary) -> dict[str, Any]:
     """Return the columns of a row that name its cell."""
     return {"cell": cell.id, "label": cell.label}
 

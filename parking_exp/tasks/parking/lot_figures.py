@@ -2,7 +2,7 @@
 of parked cars.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -67,18 +67,23 @@ def _shapes(axes: Axes, corners: Iterable[np.ndarray], **style: Any) -> PolyColl
     return shapes
 
 
-def draw_scene_map(cells: Sequence[Any]) -> Iterator[Drawing]:
+def draw_scene_map(report: Any) -> Iterator[Drawing]:
     """Draw, for each goal slot, the share of episodes that failed."""
-    failed = [(cell, _failures(cell)) for cell in cells]
-    failed = [(cell, rates) for cell, rates in failed if np.isfinite(rates).any()]
+    cells = []
+    failed = []
+    for cell in report.shown_cells:
+        rates = _failures(cell)
+        if np.isfinite(rates).any():
+            cells.append(cell)
+            failed.append(rates)
     if not failed:
         return
     n = len(failed)
     columns = min(n, 2 if n <= 4 else 3 if n <= 12 else 4)
-    labels = wrapped_labels([cell for cell, _ in failed], 84 // columns, lines=2)
+    labels = wrapped_labels(cells, 84 // columns, lines=2)
     figure, lots = _lots(n, columns, head=0.22 + 0.13 * max(label.count("\n") for label in labels))
-    highest = max(10.0, 5 * np.ceil(max(np.nanmax(rates) for _, rates in failed) / 5))
-    for axes, (_, rates), label in zip(lots, failed, labels, strict=True):
+    highest = max(10.0, 5 * np.ceil(np.nanmax(failed) / 5))
+    for axes, rates, label in zip(lots, failed, labels, strict=True):
         slots = _shapes(
             axes,
             _SLOTS,
@@ -114,27 +119,19 @@ def _failures(cell: Any) -> np.ndarray:
     return rates
 
 
-def draw_vehicle_rates(cells: Sequence[Any]) -> Iterator[Drawing]:
+def draw_vehicle_rates(report: Any) -> Iterator[Drawing]:
     """Draw success and crashes against the number of parked cars."""
-    shown = [cell for cell in cells if cell.task_data.get("vehicles")]
+    shown = [cell for cell in report.shown_cells if cell.task_data.get("vehicles")]
     if not shown:
         return
     figure = new_figure(3.2)
     panels = figure.subplots(1, 2, sharex=True)
     for cell, label in zip(shown, wrapped_labels(shown, 40), strict=True):
-        style, rates = cell_style(cell.id), cell.task_data["vehicles"]
-        line = {
-            "color": style.colour,
-            "linestyle": style.line,
-            "marker": style.marker,
-            "label": label,
-        }
+        rows = cell.task_data["vehicles"]
+        vehicles = [row["vehicles"] for row in rows]
         for axes, name in zip(panels, ("success", "crash"), strict=True):
-            axes.plot(
-                [row["vehicles"] for row in rates],
-                percentages([row[name] for row in rates]),
-                **line,
-            )
+            rates = percentages([row[name] for row in rows])
+            axes.plot(vehicles, rates, label=label, **cell_style(cell.id).lines)
             axes.set(xlabel="parked cars", ylabel=f"{name} (%)")
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)

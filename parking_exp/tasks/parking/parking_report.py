@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from parking_exp.figure_style import SectionFigure
 from parking_exp.tasks.parking.lot_figures import draw_scene_map, draw_vehicle_rates
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.scenes import Scenes, drawn_number
-from parking_exp.tasks.task import TaskFigure, TaskReport, TaskSection
+from parking_exp.tasks.task import TaskReport, TaskSection
 
 OUTCOMES = [metric.name for metric in METRICS if metric.is_outcome]
 
@@ -70,9 +71,10 @@ def _goal(scene: int) -> int:
 def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the rates of outcomes by goal slot, and by number of parked cars where that varies."""
     by_vehicles = vehicle_rates(runs, config)
-    return {"slots": outcome_rates(runs, "slot", _goal)} | (
-        {"vehicles": by_vehicles} if by_vehicles else {}
-    )
+    by_section = {"slots": outcome_rates(runs, "slot", _goal)}
+    if by_vehicles:
+        by_section["vehicles"] = by_vehicles
+    return by_section
 
 
 PARKING_REPORT = TaskReport(
@@ -86,14 +88,14 @@ PARKING_REPORT = TaskReport(
         TaskSection(
             "scenes",
             "Where episodes fail",
-            [TaskFigure("scene_map", "Where on the lot episodes fail", draw_scene_map)],
+            [SectionFigure("scene_map", "Where on the lot episodes fail", draw_scene_map)],
             table="slots",
         ),
         TaskSection(
             "vehicles",
             "How many cars are parked",
             [
-                TaskFigure(
+                SectionFigure(
                     "vehicles", "Success and crashes by number of parked cars", draw_vehicle_rates
                 )
             ],
