@@ -91,22 +91,23 @@ def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pa
     rates = [(seed_rates(a), seed_rates(b)) for a, b in couples]
     differences = compare([([a], [b]) for a, b in rates], SIGNIFICANT)
     rank_p = [rank_test(a.rates, b.rates) for a, b in rates]
-    rank_p_holm = [finite_or_none(p) for p in holm(rank_p)]
-    return [
-        Pair(
+    rank_p_holm = holm(rank_p)
+
+    pairs = []
+    for number, (a, b) in enumerate(couples):
+        difference = differences[number]
+        pair = Pair(
             a=a.id,
             b=b.id,
             difference=difference,
             p=difference.p,
             p_corrected=difference.p_corrected,
-            rank_p=p,
-            rank_p_holm=p_holm,
+            rank_p=rank_p[number],
+            rank_p_holm=finite_or_none(rank_p_holm[number]),
             verdict=_judge(difference),
         )
-        for (a, b), difference, p, p_holm in zip(
-            couples, differences, rank_p, rank_p_holm, strict=True
-        )
-    ]
+        pairs.append(pair)
+    return pairs
 
 
 def seed_rates(cell: CellSummary) -> SeedRates:
@@ -132,16 +133,28 @@ def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> l
     one of the keys, such as replay, which has no `n_sampled_goal`, is left out.
     """
     full = [cell for cell in cells if None not in cell.settings.values()]
-    levels = {factor.key: {cell.settings[factor.key] for cell in full} for factor in factors}
-    crossed = [key for key, values in levels.items() if len(values) > 1]
-    is_series = len(factors) == 1 and factors[0].numeric and len(factors[0].levels) > 2
-    if len(crossed) < 2 and not is_series:
-        return []
-
-    sizes = [len(levels[key]) for key in crossed]
-    if max(sizes) > MAX_LEVELS or len(full) < COVERED * math.prod(sizes):
-        return []
-
+    varied = _find_varied(full, factors)
     rated = [cell for cell in full if cell.success.value is not None]
-    rates = [([cell.settings[key] for key in crossed], seed_rates(cell)) for cell in rated]
-    return main_effects(crossed, rates) if rates else []
+    if not varied or not rated:
+        return []
+    rates = []
+    for cell in rated:
+        levels = [cell.settings[key] for key in varied]
+        rates.append((levels, seed_rates(cell)))
+    return main_effects(varied, rates)
+
+
+def _find_varied(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> list[str]:
+    """Return the keys of the factors that are crossed, or of the one that is a series."""
+    n_levels = {}
+    for factor in factors:
+        levels = {cell.settings[factor.key] for cell in cells}
+        if len(levels) > 1:
+            n_levels[factor.key] = len(levels)
+    is_series = len(factors) == 1 and factors[0].numeric and len(factors[0].levels) > 2
+    if len(n_levels) < 2 and not is_series:
+        return []
+    n_combinations = math.prod(n_levels.values())
+    if max(n_levels.values()) > MAX_LEVELS or len(cells) < COVERED * n_combinations:
+        return []
+    return list(n_levels)

@@ -4,8 +4,8 @@ import ast
 import fnmatch
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import pandas as pd
@@ -35,6 +35,8 @@ class CellRuns:
     """The runs of one cell.
 
     Attributes:
+        id: `c0`, `c1`, ... in the order of the report.
+        name: folder of its runs.
         label: what distinguishes it from the others of the report.
         settings: value of each factor.
         runs: rows of `Results.runs` by seed, with `is_done`. Of runs with equal seeds it has the
@@ -43,19 +45,20 @@ class CellRuns:
 
     experiment: str
     name: str
-    label: str
-    settings: dict[str, Setting]
     config: Config
     runs: pd.DataFrame
+    id: str = ""
+    label: str = ""
+    settings: Mapping[str, Setting] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[str, str]:
-        """Name the cell, whatever its label."""
+        """What identifies the cell, whatever its label."""
         return self.experiment, self.name
 
     @property
     def task(self) -> str:
-        """Name of its task; configs of early exports have parking alone."""
+        """The name of its task; configs of early exports have parking alone."""
         return str(self.config.get("env.task", "parking"))
 
     @property
@@ -86,8 +89,6 @@ def _make_cell(rows: pd.DataFrame) -> CellRuns:
     return CellRuns(
         experiment=str(rows["experiment"].iloc[0]),
         name=str(rows["cell"].iloc[0]),
-        label="",
-        settings={},
         config=_read_config(configs),
         runs=newest.drop_duplicates("seed", keep="last"),
     )
@@ -95,17 +96,19 @@ def _make_cell(rows: pd.DataFrame) -> CellRuns:
 
 def _read_config(configs: pd.DataFrame) -> dict[str, Setting]:
     """Return the first config. Frames do not distinguish a null from a missing key."""
+    if configs.empty:
+        return {}
+    (first,) = configs.head(1).to_dict("records")
     config = {}
-    for row in configs.head(1).to_dict("records"):
-        for column, value in row.items():
-            if pd.notna(value):
-                is_infinite = value in (math.inf, -math.inf)  # JSON has no such number
-                config[str(column).removeprefix(CONFIG)] = str(value) if is_infinite else value
+    for column, value in first.items():
+        if pd.notna(value):
+            is_infinite = value in (math.inf, -math.inf)  # JSON has no such number
+            config[str(column).removeprefix(CONFIG)] = str(value) if is_infinite else value
     return config
 
 
 def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
-    """Return cells with labels that distinguish these alone, and the factors."""
+    """Return cells with ids and labels that distinguish these alone, and the factors."""
     configs = [cell.config for cell in cells]
     names = [cell.name for cell in cells]
     factors, settings = find_factors(configs, [cell.experiment for cell in cells])
@@ -113,10 +116,10 @@ def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
         labels = labels_from_factors(factors, settings, names)
     else:
         labels = [cell.label for cell in cells if cell.label] or label_cells(configs, names)
-    relabelled = [
-        replace(cell, label=label, settings=levels)
-        for cell, label, levels in zip(cells, labels, settings, strict=True)
-    ]
+    relabelled = []
+    for number, cell in enumerate(cells):
+        own = replace(cell, id=f"c{number}", label=labels[number], settings=settings[number])
+        relabelled.append(own)
     return relabelled, factors
 
 
@@ -157,9 +160,11 @@ def _list_words(cell: CellRuns) -> set[str]:
     for key, value in {**cell.config, **cell.settings}.items():
         if can_matter(key) or key == LABEL:
             text = _normalise(setting(value))
-            parts = key.split(".")
-            words |= {f"{'.'.join(parts[n:])}={text}" for n in range(len(parts))}
             words.add(f"{key.removesuffix('.name')}={text}")
+            ending = key
+            while ending:
+                words.add(f"{ending}={text}")
+                ending = ending.partition(".")[2]
     return words
 
 
@@ -179,11 +184,15 @@ def _find_matching(words: Words, pattern: str, key: str) -> list[CellRuns]:
         fitting = [cell for cell, own in words.items() if pattern in own]
     if not fitting:
         fitting = [cell for cell, own in words.items() if fnmatch.filter(own, pattern)]
-    if not fitting:
-        has = "has" if "=" in pattern else "is called"
-        known = set().union(*words.values()) if "=" in pattern else {cell.label for cell in words}
-        raise ConfigError(f"{key}: no cell {has} {pattern!r}{suggestion(pattern, known)}")
-    return fitting
+    if fitting:
+        return fitting
+    if "=" in pattern:
+        verb = "has"
+        known = set().union(*words.values())
+    else:
+        verb = "is called"
+        known = {cell.label for cell in words}
+    raise ConfigError(f"{key}: no cell {verb} {pattern!r}{suggestion(pattern, known)}")
 
 
 def find_cell(
@@ -236,11 +245,11 @@ def find_contrasts(
         except (ValueError, SyntaxError, MemoryError, RecursionError):  # of a foreign store, or cut
             warnings.append(f"{experiment}: its contrasts can't be read.")
             continue
-        for pair in declared:
+        for names in declared:
             try:
-                first, second = (find_cell(own, name, "contrasts") for name in pair)
+                first, second = [find_cell(own, name, "contrasts") for name in names]
             except ConfigError:
-                unknown.append(" minus ".join(pair))
+                unknown.append(" minus ".join(names))
                 continue
             if first is not second:
                 contrasts.setdefault(frozenset([first.key, second.key]), (first, second))

@@ -67,9 +67,7 @@ def _group_by_run(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
     return {str(run): rows for run, rows in frame.groupby("run_id", sort=False, observed=True)}
 
 
-def summarise_cell(
-    cell: CellRuns, cell_id: str, evaluations: RunEvaluations, *, unfinished: bool
-) -> CellSummary:
+def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: bool) -> CellSummary:
     """Return a cell's numbers; with `unfinished`, its learning curve includes runs not done."""
     seeds = [_summarise_run(run, evaluations) for run in cell.done.to_dict("records")]
     success = [seed.success for seed in seeds if seed.success is not None]
@@ -79,7 +77,7 @@ def summarise_cell(
         values = [seed.metric(name) for seed in seeds]
         means[name] = _average(values, is_rate(name), n_episodes)
     return CellSummary(
-        id=cell_id,
+        id=cell.id,
         label=cell.label,
         experiment=cell.experiment,
         name=cell.name,

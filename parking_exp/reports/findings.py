@@ -100,7 +100,6 @@ def _write_gap(label: str, pair: Pair) -> str:
 
 def _describe_factors(report: ReportData) -> Iterator[str]:
     """Yield what the levels of each crossed factor do, where all combinations are there."""
-    names = {factor.key: factor.name for factor in report.factors}
     for effect in report.effects_by_size:
         if not effect.complete or effect.largest is None:
             continue
@@ -111,7 +110,7 @@ def _describe_factors(report: ReportData) -> Iterator[str]:
         is_significant = effect.p is not None and effect.p < SIGNIFICANT
         verdict = "" if is_significant else "levels are indistinguishable; "
         yield (
-            f"{names[effect.factor]}: {verdict}{setting(high.level)} "
+            f"{report.factor_names[effect.factor]}: {verdict}{setting(high.level)} "
             f"({rate_interval(high.effect)}) minus {setting(low.level)} "
             f"({rate_interval(low.effect)}), averaged over other factors: {', '.join(parts)}."
         )

@@ -1,6 +1,6 @@
 """Build the content of a report from result frames."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import chain
@@ -31,7 +31,6 @@ class Selection(NamedTuple):
     baseline: str | None  # id of the cell
     contrasts: list[tuple[str, str]]  # ids of the cells
     warnings: list[str]  # of contrasts that are left out
-    left_out: list[str]  # labels of the other cells
 
 
 def build_report(
@@ -60,13 +59,10 @@ def build_report(
         ConfigError: there is no such cell, baseline or contrast.
         RunNotFoundError: no run is done, and `quick` is not set.
     """
-    groups = cell_selection.group_runs(results.runs)
-    selection = _select(groups, cells, baseline, contrast)
+    all_cells = cell_selection.group_runs(results.runs)
+    selection = _select(all_cells, cells, baseline, contrast)
     evaluations = split_by_run(results)
-    summaries = [
-        summarise_cell(cell, f"c{number}", evaluations, unfinished=quick)
-        for number, cell in enumerate(selection.cells)
-    ]
+    summaries = [summarise_cell(cell, evaluations, unfinished=quick) for cell in selection.cells]
     if not quick:
         hint = "; report=quick shows what there is so far"
         _refuse_unfinished(summaries, f"experiment={','.join(experiments)}", hint)
@@ -74,7 +70,8 @@ def build_report(
         _refuse_unfinished(reference or summaries, f"baseline={baseline}")
 
     family = choose_family(summaries, selection.baseline, selection.contrasts)
-    always_shown = {selection.baseline, *chain(*selection.contrasts)}
+    selected = {cell.key for cell in selection.cells}
+    left_out = [cell.label for cell in all_cells if cell.key not in selected]
     report = ReportData(
         title=" and ".join(experiments),
         experiments=list(experiments),
@@ -85,12 +82,12 @@ def build_report(
         factors=selection.factors,
         cells=summaries,
         tasks=sorted({cell.task for cell in selection.cells}),
-        shown=_choose_shown(summaries, always_shown),
+        shown=_choose_shown(summaries, selection),
         baseline=selection.baseline,
         family=family.sentence,
         pairs=compare_pairs(family.couples),
         effects=compare_levels(summaries, selection.factors),
-        provenance=collect_provenance(selection.cells, selection.left_out, results.uri),
+        provenance=collect_provenance(selection.cells, left_out, results.uri),
         reference=family.reference,
         declared=family.declared,
     )
@@ -120,34 +117,31 @@ def _select(
             selected = [reference, *selected]
 
     labelled, factors = cell_selection.relabel(selected)
-    ids = {cell.key: f"c{number}" for number, cell in enumerate(labelled)}
     if contrast is None:
         pairs, untested, warnings = cell_selection.find_contrasts(cells)
     else:
         pairs = cell_selection.match_cells(labelled, factors, contrast)
-        untested, warnings = [], []
+        untested = []
+        warnings = []
 
     contrasts = []
+    by_key = {cell.key: cell for cell in labelled if len(cell.done)}
     for first, second in pairs:
-        is_selected = first.key in ids and second.key in ids
-        if is_selected and len(first.done) and len(second.done):
-            contrasts.append((ids[first.key], ids[second.key]))
+        if first.key in by_key and second.key in by_key:
+            contrasts.append((by_key[first.key].id, by_key[second.key].id))
         else:
             untested.append(f"{first.label} minus {second.label}")
     if untested:
-        n_contrasts = len(contrasts) + len(untested)
-        warnings.append(
-            f"{len(untested)} of {n_contrasts} contrasts lack a selected cell with finished runs, "
-            "and p is corrected for the others only: "
-            f"{report_warnings.list_names(untested)}."
-        )
-    return Selection(
-        labelled,
-        factors,
-        baseline=ids[reference.key] if reference else None,
-        contrasts=contrasts,
-        warnings=warnings,
-        left_out=[cell.label for cell in cells if cell not in selected],
+        warnings.append(_warn_of_untested(untested, len(contrasts)))
+    baseline_id = labelled[selected.index(reference)].id if reference else None
+    return Selection(labelled, factors, baseline_id, contrasts, warnings)
+
+
+def _warn_of_untested(untested: Sequence[str], n_tested: int) -> str:
+    return (
+        f"{len(untested)} of {n_tested + len(untested)} contrasts lack a selected cell with "
+        "finished runs, and p is corrected for the others only: "
+        f"{report_warnings.list_names(untested)}."
     )
 
 
@@ -157,16 +151,19 @@ def _refuse_unfinished(cells: Sequence[CellSummary], override: str, hint: str = 
         raise RunNotFoundError(f"{override}: of its {plural(n_runs, 'run')}, none is done{hint}")
 
 
-def _choose_shown(cells: Sequence[CellSummary], always: Collection[str | None]) -> list[str]:
+def _choose_shown(cells: Sequence[CellSummary], selection: Selection) -> list[str]:
     """Return the ids of the cells in figures, in the order of the report: all, or the best of many.
 
-    Of many, those in `always` are shown, too, and controls, which lack one of the keys.
+    Of many, the baseline, cells of contrasts, and controls, which lack one of the keys, are shown,
+    too.
     """
     if len(cells) <= SHOWN_WHOLE:
         return [cell.id for cell in cells]
     best = sorted(cells, key=lambda cell: cell.success.value or 0.0, reverse=True)[:SHOWN]
-    controls = [cell for cell in cells if None in cell.settings.values()]
-    return [cell.id for cell in cells if cell in best or cell in controls or cell.id in always]
+    shown = {selection.baseline, *chain(*selection.contrasts)}
+    shown |= {cell.id for cell in best}
+    shown |= {cell.id for cell in cells if None in cell.settings.values()}
+    return [cell.id for cell in cells if cell.id in shown]
 
 
 def _write_notes(report: ReportData) -> Iterator[str]:

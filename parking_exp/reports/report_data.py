@@ -194,6 +194,11 @@ class ReportData:
         return {cell.id: cell.label for cell in self.cells}
 
     @property
+    def factor_names(self) -> dict[str, str]:
+        """The name of each factor by its key."""
+        return {factor.key: factor.name for factor in self.factors}
+
+    @property
     def shown_cells(self) -> list[CellSummary]:
         """The cells that figures show."""
         return [cell for cell in self.cells if cell.id in self.shown]

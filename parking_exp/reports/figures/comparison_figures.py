@@ -30,12 +30,13 @@ def draw_pairs(report: ReportData) -> Iterator[Drawing]:
         is_shown = pair.a in names and pair.b in names
         if is_shown and pair.difference.value is not None:
             pairs.append(pair)
-            label = names[pair.a]
-            labels.append(label if report.reference else f"{label}\n− {names[pair.b]}")  # noqa: RUF001
+            labels.append(names[pair.a])
+            if not report.reference:
+                labels[-1] += f"\n− {names[pair.b]}"  # noqa: RUF001
 
     difference = "Final success of one cell minus another's"
     if report.reference:
-        difference = f"Final success minus that of {report.cell(report.reference).label}"
+        difference = f"Final success minus that of {report.labels[report.reference]}"
     caption = (
         f"{difference}, in percentage points, with 95 % intervals. ▲ the first is better, ▼ worse, "
         "≈ not distinguishable, ? too few seeds; p with Bonferroni's correction. "
@@ -68,19 +69,20 @@ def draw_two_factors(report: ReportData) -> Iterator[Drawing]:
     effects = report.effects_by_size[:2]
     if len(effects) < 2:
         return
-    row_key, column_key = (effect.factor for effect in effects)
-    names = {factor.key: factor.name for factor in report.factors}
+    row_key, column_key = [effect.factor for effect in effects]
+    row_name = report.factor_names[row_key]
+    column_name = report.factor_names[column_key]
     rows = []
     for cell in report.cells:
-        levels = [level(cell.settings[row_key]), level(cell.settings[column_key])]
-        rows.append([*levels, cell.success.value])
+        row_level = level(cell.settings[row_key])
+        column_level = level(cell.settings[column_key])
+        rows.append([row_level, column_level, cell.success.value])
     frame = pd.DataFrame(rows, columns=["row", "column", "success"]).dropna()
     table = frame.pivot_table("success", "row", "column", sort=False)
-    figure = _draw_map(100 * table, names[row_key], names[column_key])
+    figure = _draw_map(100 * table, row_name, column_name)
     yield (
         figure,
-        f"Mean final success by {names[row_key]} and {names[column_key]}, in %, averaged over "
-        "everything else.",
+        f"Mean final success by {row_name} and {column_name}, in %, averaged over everything else.",
     )
 
 

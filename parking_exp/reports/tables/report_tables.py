@@ -179,7 +179,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
     """Yield the table of the pairs of cells that were compared."""
     rows = []
     for pair in report.pairs:
-        labels = {"a_label": report.cell(pair.a).label, "b_label": report.cell(pair.b).label}
+        labels = {"a_label": report.labels[pair.a], "b_label": report.labels[pair.b]}
         rows.append(labels | record(pair))
     yield Table(
         "pairs",
@@ -208,12 +208,14 @@ def pairs(report: ReportData) -> Iterator[Table]:
 
 def factors(report: ReportData) -> Iterator[Table]:
     """Yield the table of the difference that each factor makes."""
-    names = {factor.key: factor.name for factor in report.factors}
     rows = []
     for effect in report.effects_by_size:
-        high, low = effect.extremes
-        levels = {"highest": high.level, "lowest": low.level}
-        rows.append(record(effect) | {"name": names[effect.factor]} | levels)
+        highest, lowest = effect.extremes
+        row = record(effect)
+        row["name"] = report.factor_names[effect.factor]
+        row["highest"] = highest.level
+        row["lowest"] = lowest.level
+        rows.append(row)
     yield Table(
         "factors",
         rows,
