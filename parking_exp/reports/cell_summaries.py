@@ -1,6 +1,5 @@
 """Summary of a cell over its seeds: means, learning curve, times to 90 %."""
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -76,6 +75,7 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
     for name in [*REPORTED, *added_metrics(cell.done.columns)]:
         values = [seed.metric(name) for seed in seeds]
         means[name] = _average(values, is_rate(name), n_episodes)
+    curve_runs = cell.runs if unfinished else cell.done
     return CellSummary(
         id=cell.id,
         label=cell.label,
@@ -86,16 +86,25 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
         total_timesteps=_to_int(cell.config.get("total_timesteps")),
         cpu_s=_average([seed.cpu_s for seed in seeds]),
         area=_average([seed.area for seed in seeds], is_rate=True),
-        lowest=min(success, default=None),
-        iqm=interquartile_mean(success) if success else None,
-        reaching_95=share_reaching(success, RELIABLE) if success else Proportion(0, 0, None, None),
         seeds=seeds,
-        curve=_average_curves(cell.runs if unfinished else cell.done, evaluations),
+        curve=_average_curves(curve_runs, evaluations),
         task_data=_summarise_task(cell, seeds, evaluations),
-        note=coverage_note(success) if success else None,
+        **_describe_success(success),
         **_measure_time_to_90(seeds),
         **_metric_fields(means),
     )
+
+
+def _describe_success(rates: Sequence[float]) -> dict[str, Any]:
+    """Return the fields of a cell about the success of its seeds, beside its mean."""
+    if not rates:
+        return {"lowest": None, "iqm": None, "reaching_95": Proportion(0, 0, None, None)}
+    return {
+        "lowest": min(rates),
+        "iqm": interquartile_mean(rates),
+        "reaching_95": share_reaching(rates, RELIABLE),
+        "note": coverage_note(rates),
+    }
 
 
 def is_rate(name: str) -> bool:
@@ -120,17 +129,18 @@ def _summarise_run(run: Mapping[Any, Any], evaluations: RunEvaluations) -> RunSu
     metrics = {name: finite_or_none(run[column]) for name, column in columns.items()}
     success = metrics["success"]
     run_id = run["run_id"]
+    run_dir = run["run_dir"] if isinstance(run["run_dir"], str) else None
     n_episodes = len(evaluations.final.get(run_id, ())) or _to_int(run["n_scenes"])
-    low = high = None
+    interval: tuple[float | None, float | None] = (None, None)
     if success is not None and n_episodes:
-        low, high = wilson_interval(round(success * n_episodes), n_episodes)
+        interval = wilson_interval(round(success * n_episodes), n_episodes)
     return RunSummary(
         seed=int(run["seed"]),
         run_id=run_id,
-        run_dir=run["run_dir"] if isinstance(run["run_dir"], str) else None,
+        run_dir=run_dir,
         n_episodes=n_episodes,
-        low=low,
-        high=high,
+        low=interval[0],
+        high=interval[1],
         cpu_s=finite_or_none(run["cpu_s"]),
         **_measure_curve(evaluations.curves.get(run_id)),
         **_metric_fields(metrics),
@@ -199,10 +209,11 @@ def _measure_time_to_90(seeds: Sequence[RunSummary]) -> dict[str, Any]:
     if not timed:
         return {}
     steps = [seed.steps_to_90 or 0.0 for seed in timed]
-    cpu_s = sorted(math.inf if seed.cpu_s_to_90 is None else seed.cpu_s_to_90 for seed in timed)
+    cpu_s = sorted(seed.cpu_s_to_90 for seed in timed if seed.cpu_s_to_90 is not None)
+    middle = (len(timed) - 1) // 2
     return {
         "survival": kaplan_meier(steps, [seed.reached_90 for seed in timed]),
-        "median_cpu_s": finite_or_none(cpu_s[(len(cpu_s) - 1) // 2]),
+        "median_cpu_s": cpu_s[middle] if middle < len(cpu_s) else None,
     }
 
 

@@ -58,8 +58,13 @@ def _orient_pairs(report: ReportData, best: CellSummary) -> list[Pair]:
     if report.declared:
         return list(report.pairs)
     reference = report.reference or best.id
-    with_reference = [pair for pair in report.pairs if reference in (pair.a, pair.b)]
-    return [pair if pair.a == reference else pair.reverse() for pair in with_reference]
+    oriented = []
+    for pair in report.pairs:
+        if pair.a == reference:
+            oriented.append(pair)
+        elif pair.b == reference:
+            oriented.append(pair.reverse())
+    return oriented
 
 
 def _describe_pairs(pairs: Sequence[Pair], labels: Mapping[str, str]) -> Iterator[str]:

@@ -58,22 +58,30 @@ def find_missing(report: ReportData) -> Iterator[str]:
 
 def _find_mixed(report: ReportData) -> Iterator[str]:
     origin = report.provenance
+    n_episodes = []
+    seeds = set()
+    for cell in report.cells:
+        n_episodes += [seed.n_episodes for seed in cell.seeds]
+        if cell.seeds:
+            seeds.add(tuple(seed.seed for seed in cell.seeds))
     conditions: dict[str, Iterable[Setting]] = {
         **origin.versions,
         "commits": origin.commits,
         "machines, whose CPU-seconds do not compare": origin.machines,
-        "final episodes": [seed.n_episodes for cell in report.cells for seed in cell.seeds],
-        **{key: values for key, values in origin.difference.items() if key in COMPARABLE},
+        "final episodes": n_episodes,
     }
-    for condition, values in conditions.items():
-        names = [setting(value) for value in dict.fromkeys(values)]
+    for key, values in origin.difference.items():
+        if key in COMPARABLE:
+            conditions[key] = values
+    for condition, seen in conditions.items():
+        names = [setting(value) for value in dict.fromkeys(seen)]
         if len(names) > 1:
             yield f"Mixed {condition}: {list_names(names)}."
     if any(commit.endswith("+") for commit in origin.commits):
         yield "Some runs were made from files that differ from their commit (marked +)."
-    tasks = [key for key in origin.difference if key.startswith("env.")]
-    mixed = [key for key in tasks if key not in TRAINING_ONLY]
+    env_keys = [key for key in origin.difference if key.startswith("env.")]
+    mixed = [key for key in env_keys if key not in TRAINING_ONLY]
     if mixed:
         yield f"Mixed tasks, whose rates are not of the same episodes: {list_names(mixed)} differ."
-    if len({tuple(seed.seed for seed in cell.seeds) for cell in report.cells if cell.seeds}) > 1:
+    if len(seeds) > 1:
         yield "Cells do not have the same seeds."

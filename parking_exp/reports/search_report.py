@@ -102,7 +102,9 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         row: dict[str, Any] = {tuning.objective: trial.value}
         row |= dict.fromkeys(tuning.parameters)
         row |= trial.parameters
-        rows.append(row | record(trial) | {"label": trial.label})
+        row |= record(trial)
+        row["label"] = trial.label
+        rows.append(row)
     caption = f"Trials: means over {tuning.n_seeds} tuning seeds (%), and parameters."
     yield Table("trials", rows, columns, caption, latex=True)
 

@@ -112,7 +112,6 @@ SECTIONS = (
     Section(
         "pairs",
         "Pair by pair",
-        text=lambda report: [report.family] if report.pairs else [],
         figures=[SectionFigure("pairwise", "Differences between cells", draw_pairs)],
         tables=[report_tables.pairs],
     ),

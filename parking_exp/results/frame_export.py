@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.cell_labels import setting_text
+from parking_exp.config.cell_labels import LABEL, parse_value, setting_text
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.frames import (
@@ -25,8 +25,8 @@ from parking_exp.results.frames import (
     TEXT,
     Results,
     as_results_error,
-    config_column,
     run_category,
+    setting_column,
     typed_curves,
 )
 from parking_exp.results.run_logs import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
@@ -166,6 +166,18 @@ def _read_runs(path: Path) -> pd.DataFrame:
             runs[name] = np.nan  # of other tasks
     columns = RUN_TYPES | dict.fromkeys(added_metrics(runs.columns), "float64")
     return runs[[*columns, *versions, *settings]].astype(columns)
+
+
+def config_column(texts: Iterable[str | None], key: str = "") -> pd.Series:
+    """Return the typed values of a config key."""
+    values = []
+    for text in texts:
+        value = parse_value(text)
+        # Exports of earlier versions have no quotes around a label that looks like a number.
+        if key == LABEL and isinstance(value, int | float):
+            value = text
+        values.append(value)
+    return setting_column(values)
 
 
 def _read_curves(path: Path, runs: pd.DataFrame) -> pd.DataFrame:

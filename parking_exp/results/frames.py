@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pandas as pd
 
-from parking_exp.config.cell_labels import LABEL, Config, Setting, parse_value
+from parking_exp.config.cell_labels import Config, Setting
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
 from parking_exp.results.run_logs import (
@@ -101,10 +101,10 @@ def load(
             has no runs.
     """
     folder = directory_path(output_dir)
-    return read_store(
-        Store(refuse_password(uri), None) if uri else Store(default_uri(folder), folder),
-        experiments,
-    )
+    store = Store(default_uri(folder), folder)
+    if uri:
+        store = Store(refuse_password(uri), None)
+    return read_store(store, experiments)
 
 
 def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results:
@@ -180,22 +180,12 @@ def _is_from_this_package(run: "Run") -> bool:
     return tags["status"] in STATUSES and tags["seed"].isdecimal()
 
 
-def config_column(texts: Iterable[str | None], key: str = "") -> pd.Series:
-    """Return the typed values of a config key in an export."""
-    values = []
-    for text in texts:
-        value = parse_value(text)
-        # Stores and exports of earlier versions have no quotes around a label that looks like a
-        # number.
-        values.append(text if key == LABEL and isinstance(value, int | float) else value)
-    return _setting_column(values)
-
-
-def _setting_column(values: Sequence[Setting]) -> pd.Series:
+def setting_column(values: Sequence[Setting]) -> pd.Series:
     """Return the values of a config key as a column; where some are None, all stay Python
     objects.
     """
-    return pd.Series(values, dtype=object if None in values else None)
+    dtype = object if None in values else None
+    return pd.Series(values, dtype=dtype)
 
 
 def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) -> pd.DataFrame:
@@ -257,7 +247,7 @@ def _with_configs(runs: pd.DataFrame, configs: Mapping[str, Config]) -> pd.DataF
         runs[column] = pd.Series(counts, dtype="Int64")
     columns = {}
     for key in sorted(set().union(*rows)):
-        columns[f"config.{key}"] = _setting_column([row.get(key) for row in rows])
+        columns[f"config.{key}"] = setting_column([row.get(key) for row in rows])
     return pd.concat([runs, pd.DataFrame(columns)], axis=1)
 
 

@@ -15,7 +15,7 @@ from parking_exp.config.cell_labels import (
 from parking_exp.config.compose import compose_runs
 from parking_exp.errors import ConfigError
 from parking_exp.reports.cell_selection import choose_cells, find_contrasts, group_runs
-from parking_exp.results.frames import config_column
+from parking_exp.results.frame_export import config_column
 from parking_exp.sweeps.sweep import plan
 
 

@@ -14,6 +14,7 @@ from support.runs import in_memory, store
 from support.store_factory import STARTED_MS, Look, compose, made_episodes, make_store
 
 import parking_exp.results
+from parking_exp.config.cell_labels import parse_value
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.results import frames, load
@@ -110,8 +111,8 @@ TEXTS = [("3", 3), ("5e-05", 5e-05), ("inf", math.inf), ("True", True), (None, N
 
 @pytest.mark.parametrize(("text", "value"), TEXTS)
 def test_a_setting_in_an_export_has_its_value(text, value):
-    assert frames.parse_value(text) == value
-    assert type(frames.parse_value(text)) is type(value)
+    assert parse_value(text) == value
+    assert type(parse_value(text)) is type(value)
 
 
 def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):

@@ -39,8 +39,7 @@ def draw_pairs(report: ReportData) -> Iterator[Drawing]:
         difference = f"Final success minus that of {report.labels[report.reference]}"
     caption = (
         f"{difference}, in percentage points, with 95 % intervals. ▲ the first is better, ▼ worse, "
-        "≈ not distinguishable, ? too few seeds; p with Bonferroni's correction. "
-        f"{report.family}"
+        f"≈ not distinguishable, ? too few seeds. {report.family}"
     )
     n_rows = rows_on_page(labels)
     for begin in range(0, len(pairs), n_rows):

@@ -86,9 +86,10 @@ def _write_part(rows: Sequence[Row], columns: Sequence[Column], caption: str, la
 
 def _letters(texts: Sequence[str]) -> float:
     """Return how wide a column should be: at least as its longest word."""
-    words = [len(word) for text in texts for word in re.split(rf"[ {BREAK}]", text)]
-    lengths = [len(text) for text in texts]
-    return max(max(words) + 2, 0.65 * min(MAX_LETTERS, max(lengths)))
+    words = re.split(rf"[ {BREAK}]", " ".join(texts))
+    longest_word = max(map(len, words))
+    longest_text = max(map(len, texts))
+    return max(longest_word + 2, 0.65 * min(MAX_LETTERS, longest_text))
 
 
 def _breakable(text: str) -> str:

@@ -262,25 +262,24 @@ def _warn_of_missing_combinations(report: ReportData) -> str:
 def config(report: ReportData) -> Iterator[Table]:
     """Yield the settings that differ: a row for each cell or, if fewer, for each setting."""
     difference = report.provenance.difference
-    cells = report.cells
-    if len(difference) > len(cells):
-        names = {cell.id: cell.label for cell in cells}
-        first = text_column("Setting", "setting")
-        rows: list[dict[str, Any]] = []
+    if not difference:
+        return
+    rows: list[dict[str, Any]] = []
+    if len(difference) > len(report.cells):
+        columns = [text_column("Setting", "setting")]
+        columns += [text_column(cell.label, cell.id, formats.setting) for cell in report.cells]
         for key, values in difference.items():
-            rows.append({"setting": key, **dict(zip(names, values, strict=True))})
+            by_cell = zip(report.labels, values, strict=True)
+            rows.append({"setting": key, **dict(by_cell)})
     else:
-        names = {key: key for key in difference}
-        first = cell_column()
-        rows = [cell_record(cell) for cell in cells]
-        for key, values in difference.items():
-            for row, value in zip(rows, values, strict=True):
-                row[key] = value
-    columns = [first]
-    columns += [text_column(name, key, formats.setting) for key, name in names.items()]
+        columns = [cell_column()]
+        columns += [text_column(key, key, formats.setting) for key in difference]
+        for number, cell in enumerate(report.cells):
+            levels = {key: values[number] for key, values in difference.items()}
+            rows.append({**cell_record(cell), **levels})
     yield Table(
         "config",
-        rows if difference else [],
+        rows,
         columns,
         "Settings that are not the same in all cells.",
         latex=True,
@@ -335,13 +334,12 @@ def common(report: ReportData) -> Iterator[Table]:
 
 
 def _list_cell_rows(report: ReportData) -> list[Row]:
-    stages = dict.fromkeys(stage for cell in report.cells for stage in cell.counts)
     rows: list[Row] = []
     for cell in report.cells:
         row = cell_record(cell)
         row["seeds"] = cell.success.n  # a run that is done may lack its rate
-        for stage in stages:
-            row[f"runs_{stage}"] = cell.counts.get(stage)
+        for stage, n_runs in cell.counts.items():
+            row[f"runs_{stage}"] = n_runs
         rows.append(row | record(cell, without=("id", "label")))
     return rows
 

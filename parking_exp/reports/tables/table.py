@@ -75,7 +75,9 @@ def without_constants(table: Table) -> Table:
             columns.append(column)
     notes = [column.note for column in columns if column.note]
     caption = "; ".join([table.caption.removesuffix("."), *notes])
-    return replace(table, columns=columns, caption=f"{caption}.{constants}" if caption else "")
+    if caption:
+        caption = f"{caption}.{constants}"
+    return replace(table, columns=columns, caption=caption)
 
 
 def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
