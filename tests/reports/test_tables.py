@@ -49,6 +49,7 @@ def test_a_rate_next_to_0_or_1_is_not_written_as_0_or_1():
 def test_tables_have_every_number(tmp_path):
     report = report_factory.her_ablation()
     tables = written(report, tmp_path)
+    # The 100 scenes have 27 of the 28 slots as their goal.
     assert {name: len(rows) for name, rows in tables.items()} == {
         "headline": 20,
         "seeds": 200,
@@ -58,7 +59,7 @@ def test_tables_have_every_number(tmp_path):
         "survival": sum(len(cell.survival.times) for cell in report.cells),
         "factors": 2,
         "effects": 9,
-        "slots": 560,
+        "slots": 540,
         "config": 20,
         "versions": 3,
         "common": 7,

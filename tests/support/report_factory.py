@@ -7,7 +7,6 @@ import numpy as np
 
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import UnfinishedRun
-from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
 from support.result_frames import Run, results
 
 BUDGET = 40_000
@@ -110,7 +109,7 @@ def hostile():
 
 
 def _report(cells, n_seeds, means, look=lambda label, run: run):
-    """Return a report on cells with these mean rates, with a scene map."""
+    """Return a report on cells with these mean rates."""
     rng = np.random.default_rng(len(cells) * 1000 + n_seeds)
 
     def made(label, seed):
@@ -138,31 +137,4 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
     report = build_report(
         frames, ["algorithms"], quick=True, command="python scripts/report.py experiment=algorithms"
     )
-    drawn = [
-        replace(
-            cell,
-            task_data={"slots": _slots(cell.success.value, n_seeds, rng)},
-        )
-        if cell.seeds
-        else cell
-        for cell in report.cells
-    ]
-    return replace(report, cells=drawn, quick=False, notes=(), made="2026-11-02T09:30:00Z")
-
-
-def _slots(mean, n_seeds, rng):
-    rates = [
-        float(np.clip(mean - 0.15 * (abs(x) / 26) ** 2 + rng.normal(0, 0.02), 0, 1))
-        for x, _ in SLOT_POSITIONS
-    ]
-    n = N_SCENES * n_seeds // len(rates)
-    return [
-        {
-            "slot": slot,
-            "n": n,
-            "success": rate,
-            "crash": (1 - rate) * 0.6,
-            "timeout": (1 - rate) * 0.4,
-        }
-        for slot, rate in enumerate(rates)
-    ]
+    return replace(report, quick=False, notes=(), made="2026-11-02T09:30:00Z")
