@@ -14,8 +14,8 @@ from parking_exp.errors import ParkingError, first_line, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import (
+    Column,
     Table,
-    column,
     interval_column,
     record,
     spread,
@@ -87,13 +87,13 @@ def trial_table(report: ReportData) -> Iterator[Table]:
     if tuning is None:
         return
     columns = [
-        column("Trial", "number", formats.number, numeric=False),
+        Column("Trial", "number", formats.number, numeric=False),
         text_column("State", "state"),
-        column(tuning.objective, tuning.objective, formats.percent),
+        Column(tuning.objective, tuning.objective, formats.percent),
     ]
     for name, distribution in tuning.parameters.items():
         is_number = distribution.get("name") != "CategoricalDistribution"
-        columns.append(column(name, name, _write_parameter, numeric=is_number))
+        columns.append(Column(name, name, _write_parameter, numeric=is_number))
     if any(trial.reason for trial in tuning.trials):
         columns.append(text_column("Why it failed", "reason"))
 

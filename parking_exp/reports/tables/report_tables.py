@@ -19,7 +19,6 @@ from parking_exp.reports.tables.table import (
     Table,
     cell_column,
     cell_record,
-    column,
     interval_column,
     record,
     spread,
@@ -33,14 +32,14 @@ def headline(report: ReportData) -> Iterator[Table]:
     """Yield the table of what each cell reached and what it cost."""
     columns = [
         cell_column(),
-        Column("Seeds", _count_finished, "seeds", given=True),
-        column("Env steps", "total_timesteps", formats.number, given=True),
+        Column("Seeds", "seeds", of_row=_count_finished, given=True),
+        Column("Env steps", "total_timesteps", formats.number, given=True),
     ]
     for name in _select_rates(report):
         columns.append(interval_column(heading(name), name, paper=name != "timeout"))
     columns += [
-        column("Lowest", "lowest", formats.percent, note="success of the worst seed"),
-        column(
+        Column("Lowest", "lowest", formats.percent, note="success of the worst seed"),
+        Column(
             "IQM",
             "iqm",
             formats.percent,
@@ -49,29 +48,30 @@ def headline(report: ReportData) -> Iterator[Table]:
         ),
         Column(
             "Seeds ≥ 95 %",
-            _count_reaching_95,
             "reaching_95_k",
+            formats.share_interval,
+            _find_share_at_95,
             note="how many seeds ended at 95 % or above, with the exact interval of their share",
             paper=False,
         ),
-        column(
+        Column(
             "Steps to hold 90 %",
             "survival_median",
             formats.number,
             note="median of the env steps until 90 % were held for three evaluations",
         ),
-        column(
+        Column(
             heading("episode_steps"),
             "episode_steps",
             partial(formats.number, digits=1),
             paper=False,
         ),
-        column("CPU (s)", "cpu_s", formats.number),
+        Column("CPU (s)", "cpu_s", formats.number),
     ]
     for name in _list_further(report):
         if not is_rate(name):
             write = partial(formats.number, digits=2)
-            columns.append(column(heading(name), name, write, paper=False))
+            columns.append(Column(heading(name), name, write, paper=False))
     yield Table(
         "headline",
         _list_cell_rows(report),
@@ -89,9 +89,9 @@ def times(report: ReportData) -> Iterator[Table]:
         rows,
         [
             cell_column(),
-            Column("Reached", lambda row: f"{row['survival_k']}/{row['survival_n']}", "survival_k"),
-            column("Median (steps)", "survival_median", formats.number),
-            column("Median (CPU-s)", "median_cpu_s", formats.number),
+            Column("Reached", "survival_k", of_row=_count_reached),
+            Column("Median (steps)", "survival_median", formats.number),
+            Column("Median (CPU-s)", "median_cpu_s", formats.number),
             interval_column("AUC (%)", "area"),
         ],
         "Time until three evaluations in a row have 90 %, with medians where half of the seeds "
@@ -102,22 +102,17 @@ def times(report: ReportData) -> Iterator[Table]:
 
 def seeds(report: ReportData) -> Iterator[Table]:
     """Yield the table of the finished runs."""
-
-    def reached(row: Row) -> str:
-        steps = formats.number(row["steps_to_90"])
-        return f"> {steps}" if steps and not row["reached_90"] else steps
-
     columns = [
         cell_column(),
-        column("Seed", "seed"),
+        Column("Seed", "seed"),
         interval_column(heading("success"), "success"),
     ]
     for name in _select_rates(report)[1:]:
-        columns.append(column(heading(name), name, formats.percent))
+        columns.append(Column(heading(name), name, formats.percent))
     columns += [
-        column("Episodes", "n_episodes", formats.number, given=True),
-        Column("Steps to 90 %", reached, "steps_to_90"),
-        column("CPU (s)", "cpu_s", formats.number),
+        Column("Episodes", "n_episodes", formats.number, given=True),
+        Column("Steps to 90 %", "steps_to_90", of_row=_write_steps_to_90),
+        Column("CPU (s)", "cpu_s", formats.number),
         text_column("Run", "run_id"),
     ]
     rows = []
@@ -188,8 +183,8 @@ def pairs(report: ReportData) -> Iterator[Table]:
             cell_column("A", "a", "a_label"),
             cell_column("B", "b", "b_label"),
             interval_column("A − B (points)", "difference", formats.difference_interval),  # noqa: RUF001
-            column("p (Bonferroni)", "p_corrected", formats.probability),
-            column(
+            Column("p (Bonferroni)", "p_corrected", formats.probability),
+            Column(
                 "p, ranks (Holm)",
                 "rank_p_holm",
                 formats.probability,
@@ -224,7 +219,7 @@ def factors(report: ReportData) -> Iterator[Table]:
             text_column("Highest", "highest", formats.setting),
             text_column("Lowest", "lowest", formats.setting),
             interval_column("Highest − lowest (points)", "largest", formats.difference_interval),  # noqa: RUF001
-            column("p (Bonferroni)", "p", formats.probability),
+            Column("p (Bonferroni)", "p", formats.probability),
         ],
         "Factors: the levels with the highest and the lowest mean over the other factors, and "
         "their difference in percentage points, with 95 % intervals."
@@ -246,7 +241,7 @@ def effects(report: ReportData) -> Iterator[Table]:
             text_column("Factor", "factor"),
             text_column("Level", "level", formats.setting),
             interval_column("Success (%)", "effect"),
-            column("Cells", "cells", formats.number),
+            Column("Cells", "cells", formats.number),
         ],
         "Main effects: mean final success at each level over the levels of the other factors, "
         f"{PERCENT}.{_warn_of_missing_combinations(report)}",
@@ -299,7 +294,7 @@ def versions(report: ReportData) -> Iterator[Table]:
         [
             text_column("What", "what"),
             text_column("Version", "version"),
-            column("Runs", "runs", formats.number, given=True),
+            Column("Runs", "runs", formats.number, given=True),
         ],
         "Versions, commits and machines.",
     )
@@ -313,7 +308,7 @@ def unfinished(report: ReportData) -> Iterator[Table]:
         rows,
         [
             text_column("Cell", "label"),
-            column("Seed", "seed"),
+            Column("Seed", "seed"),
             text_column("Status", "status"),
             text_column("Reason", "reason"),
         ],
@@ -364,8 +359,14 @@ def _count_finished(row: Row) -> str:
     return str(done) if done == total else f"{done} of {total}"
 
 
-def _count_reaching_95(row: Row) -> str:
-    name = "reaching_95"
-    low = row[f"{name}_low"]
-    high = row[f"{name}_high"]
-    return formats.share_interval(Proportion(row[f"{name}_k"], row[f"{name}_n"], low, high))
+def _find_share_at_95(row: Row) -> Proportion:
+    return Proportion(*[row[f"reaching_95_{name}"] for name in ("k", "n", "low", "high")])
+
+
+def _count_reached(row: Row) -> str:
+    return f"{row['survival_k']}/{row['survival_n']}"
+
+
+def _write_steps_to_90(row: Row) -> str:
+    steps = formats.number(row["steps_to_90"])
+    return f"> {steps}" if steps and not row["reached_90"] else steps

@@ -19,8 +19,10 @@ class Column(NamedTuple):
     """A column that people read.
 
     Attributes:
-        write: returns what it shows of a row, empty where nothing is known.
-        key: of the value in a row by which the page sorts; None: it sorts by what is shown.
+        key: of its value in a row.
+        form: writes the value, empty where nothing is known.
+        of_row: returns the value, where it is made of several of a row; the page sorts by that of
+            `key`.
         numeric: whether it shows numbers.
         cell: key of the id of the cell that it names.
         given: whether it is a condition, not a result: the caption has it where it is the same in
@@ -30,13 +32,19 @@ class Column(NamedTuple):
     """
 
     title: str
-    write: Callable[[Row], str]
-    key: str | None = None
+    key: str
+    form: Callable[[Any], str] = formats.words
+    of_row: Callable[[Row], Any] | None = None
     numeric: bool = True
     cell: str | None = None
     given: bool = False
     note: str = ""
     paper: bool = True
+
+    def write(self, row: Row) -> str:
+        """Return what it shows of a row."""
+        value = row.get(self.key) if self.of_row is None else self.of_row(row)
+        return self.form(value)
 
 
 @dataclass(frozen=True)
@@ -107,46 +115,30 @@ def cell_record(cell: CellSummary) -> dict[str, Any]:
     return {"cell": cell.id, "label": cell.label}
 
 
-def column(
-    title: str,
-    key: str,
-    write: Callable[[Any], str] = formats.words,
-    *,
-    numeric: bool = True,
-    given: bool = False,
-    note: str = "",
-    paper: bool = True,
-) -> Column:
-    """Return a column of one value of each row, written by e.g. `formats.percent`."""
-    return Column(
-        title, lambda row: write(row.get(key)), key, numeric, given=given, note=note, paper=paper
-    )
-
-
 def text_column(
-    title: str, key: str, write: Callable[[Any], str] = formats.words, *, paper: bool = True
+    title: str, key: str, form: Callable[[Any], str] = formats.words, *, paper: bool = True
 ) -> Column:
     """Return a column of one text of each row."""
-    return column(title, key, write, numeric=False, paper=paper)
+    return Column(title, key, form, numeric=False, paper=paper)
 
 
 def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
     """Return the column of the labels of cells."""
-    return Column(title, lambda row: str(row[label]), label, numeric=False, cell=cell, given=True)
+    return Column(title, label, numeric=False, cell=cell, given=True)
 
 
 def interval_column(
     title: str,
     key: str,
-    write: Callable[[Interval], str] = formats.percent_interval,
+    form: Callable[[Interval], str] = formats.percent_interval,
     *,
     paper: bool = True,
 ) -> Column:
     """Return a column of a number with its interval, by default a rate in per cent."""
 
-    def text(row: Row) -> str:
+    def find_interval(row: Row) -> Interval:
         names = (key, f"{key}_low", f"{key}_high")
-        value, low, high = (finite_or_none(row.get(name)) for name in names)
-        return write(Interval(value, low, high))
+        value, low, high = [finite_or_none(row.get(name)) for name in names]
+        return Interval(value, low, high)
 
-    return Column(title, text, key, paper=paper)
+    return Column(title, key, form, find_interval, paper=paper)
