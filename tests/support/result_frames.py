@@ -46,38 +46,38 @@ class Run:
     columns: Mapping[str, object] = field(default_factory=dict)
 
 
+def outcomes(success: float, crash: float, n: int) -> list[str]:
+    """Return the outcomes of n episodes with these shares; the others are timeouts."""
+    n_success = round(success * n)
+    n_crash = min(round(crash * n), n - n_success)
+    n_timeout = n - n_success - n_crash
+    return ["success"] * n_success + ["crash"] * n_crash + ["timeout"] * n_timeout
+
+
 def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="one") -> Results:
     """Return the results of an experiment; cells: name -> dotted keys that differ from CONFIG, None
     for no such key.
     """
     runs, curves, episodes = [], [], []
     for label, changes in cells.items():
+        config = {key: value for key, value in {**CONFIG, **changes}.items() if value is not None}
+        first_scene = config["evaluation.first_scene"]
         for seed in seeds:
-            run, run_id = look(label, seed), f"{experiment}-{label}-{seed}"
-            config = {
-                key: value for key, value in {**CONFIG, **changes}.items() if value is not None
-            }
+            run = look(label, seed)
+            run_id = f"{experiment}-{label}-{seed}"
             runs.append(_row(len(runs), run, run_id, experiment, label, seed, config))
             steps = np.linspace(0, config["total_timesteps"], len(run.curve) + 1).astype(int)[1:]
-            curves += [
-                (run_id, step, rate, 1 - rate, run.cpu_s * step / steps[-1])
-                for step, rate in zip(steps, run.curve, strict=True)
-            ]
+            for step, rate in zip(steps, run.curve, strict=True):
+                curves.append((run_id, step, rate, 1 - rate, run.cpu_s * step / steps[-1]))
             if run.status == "done":
-                n, first = config["evaluation.final_n_scenes"], config["evaluation.first_scene"]
-                good, bad = round(run.success * n), round((run.success + run.crash) * n)
-                ends = ["success"] * good + ["crash"] * (bad - good) + ["timeout"] * (n - bad)
-                episodes += [
-                    (run_id, "final", first + scene, end) for scene, end in enumerate(ends)
-                ]
-    outcomes = pd.CategoricalDtype(list(OUTCOMES))
-    names = ["run_id", "step", "success_rate", "crash_rate", "cpu_s"]
+                ends = outcomes(run.success, run.crash, config["evaluation.final_n_scenes"])
+                for scene, end in enumerate(ends, first_scene):
+                    episodes.append((run_id, "final", scene, end))
+    episodes = pd.DataFrame(episodes, columns=["run_id", "phase", "scene", "outcome"])
     return Results(
         pd.DataFrame(runs),
-        pd.DataFrame(curves, columns=names),
-        pd.DataFrame(episodes, columns=["run_id", "phase", "scene", "outcome"]).astype(
-            {"outcome": outcomes}
-        ),
+        pd.DataFrame(curves, columns=["run_id", "step", "success_rate", "crash_rate", "cpu_s"]),
+        episodes.astype({"outcome": pd.CategoricalDtype(list(OUTCOMES))}),
         "sqlite:///outputs/mlflow.db",
     )
 

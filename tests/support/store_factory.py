@@ -29,43 +29,37 @@ from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
+from support.result_frames import Run, outcomes
 
 STARTED_MS = 1_700_000_000_000
 WALL_S = 600.0
+TRAINING_METRICS = ("rollout/ep_rew_mean", "rollout/ep_len_mean", "train/actor_loss", "time/fps")
 
 
 @dataclass(frozen=True)
-class Look:
-    """What a made-up run looks like.
+class Look(Run):
+    """What a made-up run looks like in its run directory and in the store.
 
     Attributes:
-        success, crash, parked: fractions of the episodes of its final evaluation; the others are
-            timeouts.
         curve: success rate of each evaluation, evenly spaced; None: a rise to `success` in
             every_n_steps.
+        steps: mean length of its episodes.
         progress: fraction of the evaluations that an unfinished run has made.
         missing, contents: artifacts that are missing, and those with other content.
+        nan: metrics that are not a number.
         tags: that the store has besides or instead; None: a missing tag.
         settings: that its config.yaml has besides, under the key `x`.
-        rows: of training metrics between two evaluations.
     """
 
-    success: float = 0.8
     crash: float = 0.1
-    parked: float = 0.2
     curve: Sequence[float] | None = None
     steps: float = 40.0
-    cpu_s: float = 300.0
-    status: str = "done"
     progress: float = 0.5
-    error: str | None = None
     missing: Sequence[str] = ()
     contents: Mapping[str, bytes] = field(default_factory=dict)
     nan: Sequence[str] = ()
-    real_share: float = 0.5
     tags: Mapping[str, str | None] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
-    rows: int = 2
     started_ms: int = STARTED_MS
 
 
@@ -122,13 +116,10 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
     """Return a table of episodes in which rates are as asked for; which scenes fail depends on the
     seed.
     """
-    rng, n = np.random.default_rng([seed, len(scenes)]), len(scenes)
-    succeed = round(success * n)
-    crash = min(round(look.crash * n), n - succeed)
-    outcome = np.array(
-        ["success"] * succeed + ["crash"] * crash + ["timeout"] * (n - succeed - crash)
-    )
-    parked = np.arange(n) < min(round(look.parked * n), succeed)
+    n = len(scenes)
+    rng = np.random.default_rng([seed, n])
+    outcome = np.array(outcomes(success, look.crash, n))
+    parked = np.arange(n) < min(round(look.parked * n), round(success * n))
     order = rng.permutation(n)
     table = pd.DataFrame(
         {
@@ -138,18 +129,19 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
             "steps": np.maximum(1, np.round(look.steps + rng.integers(-5, 6, n))).astype(int),
         }
     )
-    return table.assign(
-        **{name: rng.uniform(0, 1, n) for name in episode_columns(METRICS) if name not in table}
-    )
+    for name in episode_columns(METRICS):
+        if name not in table:
+            table[name] = rng.uniform(0, 1, n)
+    return table
 
 
 def _evaluated(config: RunConfig, look: Look) -> list[tuple[int, float]]:
     """Return (step, success rate) of the evaluations that a run has made."""
-    total, rates = config.total_timesteps, look.curve
+    total = config.total_timesteps
+    rates = look.curve
     if rates is None:
-        rates = np.linspace(
-            0, look.success, max(1, total // (config.evaluation.every_n_steps or total)) + 1
-        )[1:].tolist()
+        n_evaluations = max(1, total // (config.evaluation.every_n_steps or total))
+        rates = np.linspace(0, look.success, n_evaluations + 1)[1:].tolist()
     points = [(round(total * (k + 1) / len(rates)), rate) for k, rate in enumerate(rates)]
     return points if look.status == "done" else points[: math.floor(len(points) * look.progress)]
 
@@ -158,49 +150,41 @@ def _content(
     config: RunConfig, look: Look
 ) -> tuple[list[dict[str, Any]], list[tuple[str, int, pd.DataFrame]]]:
     """Return the lines of metrics, and (phase, step, episodes) of all evaluations."""
-    evaluation, done = config.evaluation, look.status == "done"
+    evaluation = config.evaluation
     final_scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
     scenes = final_scenes[: evaluation.n_scenes]
-    final = made_episodes(look, look.success, final_scenes, config.seed)
-    rows, tables, before = [], [], 0
+    rows: list[tuple[int, dict[str, float]]] = []
+    tables = []
+    before = 0
     for step, rate in _evaluated(config, look):
-        for k in range(look.rows):
-            between = before + round((step - before) * (k + 1) / (look.rows + 1))
-            noise = (config.seed + between) % 7
-            values = dict.fromkeys(("rollout/ep_rew_mean", "rollout/ep_len_mean", "train/actor_loss", "train/critic_loss", "train/ent_coef", "time/fps"), noise / 7)  # fmt: skip
-            rows.append((between, values))
+        training = dict.fromkeys(TRAINING_METRICS, (config.seed + before) % 7 / 7)
+        rows.append(((before + step) // 2, training))
         table = made_episodes(look, rate, scenes, config.seed + step)
         tables.append(("eval", step, table))
         share = step / config.total_timesteps
         cost = {
             "time/cpu_s": look.cpu_s * share,
             "time/wall_s": WALL_S * share,
-            "buffer/real_share": look.real_share,
+            "buffer/real_share": 0.5,
         }
-        rows.append((step, {**_prefixed("eval", summarise(table, METRICS)), **cost}))
+        rows.append((step, {**_summary("eval", table), **cost}))
         before = step
-    if done:
-        for phase, table in (
-            ("final", final),
-            ("certified", final.head(evaluation.n_certified_scenes)),
-        ):
+    if look.status == "done":
+        final = made_episodes(look, look.success, final_scenes, config.seed)
+        certified = final.head(evaluation.n_certified_scenes)
+        for phase, table in (("final", final), ("certified", certified)):
             tables.append((phase, before, table))
-            rows[-1][1].update(_prefixed(phase, summarise(table, METRICS)))
-    lines = [
-        {
-            "step": step,
-            "time_ms": look.started_ms + step,
-            "metrics": {
-                key: math.nan if key in look.nan else float(value) for key, value in values.items()
-            },
-        }
-        for step, values in rows
-    ]
+            rows[-1][1].update(_summary(phase, table))
+    lines = []
+    for step, values in rows:
+        metrics = {key: float(value) for key, value in values.items()}
+        metrics |= {key: math.nan for key in look.nan if key in metrics}
+        lines.append({"step": step, "time_ms": look.started_ms + step, "metrics": metrics})
     return lines, tables
 
 
-def _prefixed(phase: str, summary: Mapping[str, float]) -> dict[str, float]:
-    return {f"{phase}/{name}": value for name, value in summary.items()}
+def _summary(phase: str, table: pd.DataFrame) -> dict[str, float]:
+    return {f"{phase}/{name}": value for name, value in summarise(table, METRICS).items()}
 
 
 @cache
