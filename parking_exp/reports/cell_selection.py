@@ -76,33 +76,37 @@ def group_runs(runs: pd.DataFrame) -> list[CellRuns]:
     begun["is_done"] = begun["status"] == "done"
     cells = [_make_cell(rows) for _, rows in begun.groupby(["experiment", "cell"], sort=False)]
     labelled, factors = relabel(cells)
-    levels = {factor.key: [*factor.levels, None] for factor in factors}  # a control comes last
+    # A control, which lacks a key, comes last.
+    levels = {factor.key: [*factor.levels, None] for factor in factors}
     labelled.sort(key=lambda cell: [levels[key].index(cell.settings[key]) for key in levels])
     return labelled
 
 
 def _make_cell(rows: pd.DataFrame) -> CellRuns:
     """Return the cell of some runs in the order in which they were begun."""
-    config_columns = [column for column in rows if str(column).startswith(CONFIG)]
-    configs = rows[config_columns].dropna(how="all")  # a damaged file gives no config
-    newest = rows.drop(columns=config_columns).sort_values(["seed", "is_done"], kind="stable")
+    configs = rows.filter(regex=r"^config\.")
+    newest = rows.drop(columns=configs.columns).sort_values(["seed", "is_done"], kind="stable")
     return CellRuns(
         experiment=str(rows["experiment"].iloc[0]),
         name=str(rows["cell"].iloc[0]),
-        config=_read_config(configs),
+        config=_read_config(configs.dropna(how="all")),
         runs=newest.drop_duplicates("seed", keep="last"),
     )
 
 
 def _read_config(configs: pd.DataFrame) -> dict[str, Setting]:
-    """Return the first config. Frames do not distinguish a null from a missing key."""
+    """Return the first config, which runs with a damaged file lack.
+
+    Frames do not distinguish a null from a missing key.
+    """
     if configs.empty:
         return {}
     (first,) = configs.head(1).to_dict("records")
     config = {}
     for column, value in first.items():
         if pd.notna(value):
-            is_infinite = value in (math.inf, -math.inf)  # JSON has no such number
+            # JSON has no infinite numbers.
+            is_infinite = value in (math.inf, -math.inf)
             config[str(column).removeprefix(CONFIG)] = str(value) if is_infinite else value
     return config
 
@@ -242,7 +246,8 @@ def find_contrasts(
         own, _ = relabel([cell for cell in cells if cell.experiment == experiment])
         try:
             declared = _read_contrasts(own)
-        except (ValueError, SyntaxError, MemoryError, RecursionError):  # of a foreign store, or cut
+        # Those of a foreign store may be anything, and long ones are cut.
+        except (ValueError, SyntaxError, MemoryError, RecursionError):
             warnings.append(f"{experiment}: its contrasts can't be read.")
             continue
         for names in declared:

@@ -56,7 +56,8 @@ class RunEvaluations:
 def split_by_run(results: Results) -> RunEvaluations:
     """Split the evaluations of some results."""
     curves = results.curves.dropna(subset=["success_rate"])
-    failures = curves.reindex(columns=[f"{name}_rate" for name in FAILURES])  # a task has one
+    # Each task has one of the failures.
+    failures = curves.reindex(columns=[f"{name}_rate" for name in FAILURES])
     curves = curves.assign(failure_rate=failures.bfill(axis=1).iloc[:, 0])
     final = results.episodes[results.episodes["phase"] == "final"]
     return RunEvaluations(_group_by_run(curves), _group_by_run(final))
@@ -234,7 +235,8 @@ def _average(
     known = [value for value in values if value is not None]
     if not known:
         return Interval(None)
-    is_constant = n_episodes is None and len(set(known)) == 1  # its interval has no width
+    # Without a number of episodes, equal values have an interval without width.
+    is_constant = n_episodes is None and len(set(known)) == 1
     if is_rate and not is_constant:
         return mean_interval(known, n_episodes)
     return Interval(sum(known) / len(known), n=len(known))

@@ -34,7 +34,8 @@ def percent(share: float | None) -> str:
         return ""
     if 1e-9 < min(share, 1 - share) < 0.001:
         return f"{min(max(100 * share, 0.01), 99.99):.2f}"
-    return f"{100 * share + 0.0:.1f}"  # adding 0.0 makes -0.0 positive
+    # Adding 0.0 makes -0.0 positive.
+    return f"{100 * share + 0.0:.1f}"
 
 
 def points(difference: float | None) -> str:

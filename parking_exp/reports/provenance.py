@@ -18,10 +18,10 @@ def collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: 
     """Return the provenance of cells; `left_out` are labels of their experiments' other cells."""
     runs = pd.concat([cell.runs for cell in cells])
     versions = {}
-    for column in runs:
-        package = str(column).removeprefix(VERSION)
-        if package != column and runs[column].notna().any():
-            versions[package] = _count_values(runs[column])
+    for column in runs.filter(regex=r"^version\."):
+        counts = _count_values(runs[column])
+        if counts:
+            versions[str(column).removeprefix(VERSION)] = counts
     marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
 
     configs = [cell.config for cell in cells]

@@ -61,7 +61,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class CellSummary:
-    """One cell of the comparison."""
+    """The numbers of one cell over its seeds."""
 
     id: str  # `c0`, `c1`, ... in the order of the report; colours follow from it
     label: str  # e.g. `her_final, n_sampled_goal=8`; may hold any text

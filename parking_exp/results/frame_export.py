@@ -161,9 +161,10 @@ def _read_runs(path: Path) -> pd.DataFrame:
         texts = runs[name].astype(object).where(runs[name].notna(), None)
         runs[name] = config_column(texts, name.removeprefix("config."))
     runs = runs.assign(run_dir=None, artifact_uri=None)
+    # Exports have no metrics that only other tasks have.
     for name in FINAL.values():
         if name not in runs:
-            runs[name] = np.nan  # of other tasks
+            runs[name] = np.nan
     columns = RUN_TYPES | dict.fromkeys(added_metrics(runs.columns), "float64")
     return runs[[*columns, *versions, *settings]].astype(columns)
 

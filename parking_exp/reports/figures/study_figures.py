@@ -48,8 +48,9 @@ def _plot(name: str, tuning: StoredSearch, height: float = 3.0, **arguments: Any
     matplotlib.use("agg")
     plot = getattr(optuna.visualization.matplotlib, name)
     study = rebuild_study(tuning)
-    with report_style(), warnings.catch_warnings():  # Optuna sets a style of its own
-        warnings.simplefilter("ignore")  # about a parameter of which there is one value
+    # Optuna sets a style of its own, and warns of parameters that have one value.
+    with report_style(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         drawn = plot(study, target_name=tuning.objective, **arguments)
     figure = np.ravel(drawn)[0].figure
     pyplot.close(figure)

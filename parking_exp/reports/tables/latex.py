@@ -51,7 +51,8 @@ def to_latex(table: Table) -> str:
 
 
 def _write_part(rows: Sequence[Row], columns: Sequence[Column], caption: str, label: str) -> str:
-    texts = []  # of each column, the heading first
+    # The texts of each column, the heading first.
+    texts = []
     for column in columns:
         heading = _breakable(clean(column.title))
         cells = [clean(column.write(row)) or "--" for row in rows]

@@ -332,7 +332,8 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
     rows: list[Row] = []
     for cell in report.cells:
         row = cell_record(cell)
-        row["seeds"] = cell.success.n  # a run that is done may lack its rate
+        # A run that is done may lack its rate.
+        row["seeds"] = cell.success.n
         for stage, n_runs in cell.counts.items():
             row[f"runs_{stage}"] = n_runs
         rows.append(row | record(cell, without=("id", "label")))

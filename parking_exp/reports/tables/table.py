@@ -53,9 +53,8 @@ class Table:
 
     name: str  # of its files; unique
     rows: Sequence[Row]  # all values
-    columns: Sequence[
-        Column
-    ] = ()  # what people read, see `without_constants`; none: the table is for CSV alone
+    # What people read, see `without_constants`. Without any, the table is for CSV alone.
+    columns: Sequence[Column] = ()
     caption: str = ""
     latex: bool = False  # whether it is written as LaTeX, too
     folded: bool = False  # whether the page folds it away
