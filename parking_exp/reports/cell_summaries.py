@@ -132,16 +132,17 @@ def _summarise_run(run: Mapping[Any, Any], evaluations: RunEvaluations) -> RunSu
     run_id = run["run_id"]
     run_dir = run["run_dir"] if isinstance(run["run_dir"], str) else None
     n_episodes = len(evaluations.final.get(run_id, ())) or _to_int(run["n_scenes"])
-    interval: tuple[float | None, float | None] = (None, None)
+    low = None
+    high = None
     if success is not None and n_episodes:
-        interval = wilson_interval(round(success * n_episodes), n_episodes)
+        low, high = wilson_interval(round(success * n_episodes), n_episodes)
     return RunSummary(
         seed=int(run["seed"]),
         run_id=run_id,
         run_dir=run_dir,
         n_episodes=n_episodes,
-        low=interval[0],
-        high=interval[1],
+        low=low,
+        high=high,
         cpu_s=finite_or_none(run["cpu_s"]),
         **_measure_curve(evaluations.curves.get(run_id)),
         **_metric_fields(metrics),
@@ -189,13 +190,13 @@ def _average_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | 
         return None
 
     by_step = pd.concat(seeds.values()).groupby("step")
-    success = by_step["success_rate"]
+    success = by_step["success_rate"].agg(["mean", "min", "max", "count"])
     return Curve(
-        step=success.mean().index.tolist(),
-        mean=success.mean().tolist(),
-        low=success.min().tolist(),
-        high=success.max().tolist(),
-        n=success.count().tolist(),
+        step=success.index.tolist(),
+        mean=success["mean"].tolist(),
+        low=success["min"].tolist(),
+        high=success["max"].tolist(),
+        n=success["count"].tolist(),
         failure=[finite_or_none(rate) for rate in by_step["failure_rate"].mean()],
         seeds=[
             (seed, curve["step"].tolist(), curve["success_rate"].tolist())

@@ -65,17 +65,17 @@ def sections(*ids):
 
 
 def test_every_figure_is_written_in_every_format(drawn):
-    folder, pictures = drawn
-    assert list(pictures) == LIST
+    folder, figures = drawn
+    assert list(figures) == LIST
     assert {path.name for path in folder.iterdir()} == {
         f"{n}.{kind}" for n in LIST for kind in ("svg", "png")
     }
     for name in LIST:
         assert ET.fromstring((folder / f"{name}.svg").read_bytes()).tag == f"{SVG}svg"
-        assert pictures[name].svg == (folder / f"{name}.svg").read_bytes()
+        assert figures[name].svg == (folder / f"{name}.svg").read_bytes()
         with Image.open(folder / f"{name}.png") as image:
             assert image.width == 6.8 * 200
-    assert "10 seeds per cell" in pictures["final_success"].caption
+    assert "10 seeds per cell" in figures["final_success"].caption
 
 
 @pytest.mark.slow
@@ -199,10 +199,10 @@ def test_nothing_to_draw_gives_no_figure(tmp_path):
 def test_labels_are_written_as_they_are_and_do_nothing(tmp_path):
     hostile = "a\x00b\x1b[31m\u202eevil \ud800 <script>alert(1)</script>"
     labels = [r"$\frac{x}{0} a_b^c \n", "Größe α 学習", hostile, *report_factory.HOSTILE[1:3]]  # noqa: RUF001
-    (picture,) = draw(
+    (figure,) = draw(
         report_factory.report(5, 2, labels=labels), tmp_path, ["png"], sections("results")
     )
-    elements = [*ET.fromstring(picture.svg).iter()]
+    elements = [*ET.fromstring(figure.svg).iter()]
     written = {element.text for element in elements}
     assert {*labels[:2], "ab[31mevil <script>alert(1)</script>"} <= written
     tags = {element.tag.removeprefix(SVG) for element in elements}
@@ -211,7 +211,7 @@ def test_labels_are_written_as_they_are_and_do_nothing(tmp_path):
         for key, value in element.attrib.items():
             assert not key.startswith("on")
             assert not key.endswith("href") or value.startswith(("#", "data:image/"))
-    assert not re.search(rb"url\((?!#)", picture.svg)
+    assert not re.search(rb"url\((?!#)", figure.svg)
 
 
 def test_long_labels_are_wrapped_and_cut():

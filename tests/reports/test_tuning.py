@@ -178,8 +178,8 @@ def test_retrained_trials_have_intervals_and_so_has_tuning_minus_test(folder, tm
 def test_figures_and_tables_show_the_trials(folder, tmp_path):
     search = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial()])
     whole = report(tuning=search)
-    pictures = draw(whole, tmp_path / "figures", [], OWN)
-    assert [picture.name for picture in pictures] == ["optimisation_history", "slices"]
+    drawn = draw(whole, tmp_path / "figures", [], OWN)
+    assert [figure.name for figure in drawn] == ["optimisation_history", "slices"]
     (text,) = describe_search(whole)
     assert "3 trials (sampler tpe, pruner none): 2 done, 1 pruned." in text
     assert "learning_rate=0.002, replay” with 85.0 %" in text
