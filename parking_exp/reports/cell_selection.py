@@ -52,8 +52,8 @@ class CellRuns:
     settings: Mapping[str, Setting] = field(default_factory=dict)
 
     @property
-    def key(self) -> tuple[str, str]:
-        """What identifies the cell, whatever its label."""
+    def identity(self) -> tuple[str, str]:
+        """Its experiment and name, which identify it whatever its label is."""
         return self.experiment, self.name
 
     @property
@@ -257,7 +257,7 @@ def find_contrasts(
                 unknown.append(" minus ".join(names))
                 continue
             if first is not second:
-                contrasts.setdefault(frozenset([first.key, second.key]), (first, second))
+                contrasts.setdefault(frozenset([first.identity, second.identity]), (first, second))
     return list(contrasts.values()), unknown, warnings
 
 

@@ -70,8 +70,8 @@ def build_report(
         _refuse_unfinished(reference or summaries, f"baseline={baseline}")
 
     family = choose_family(summaries, selection.baseline, selection.contrasts)
-    selected = {cell.key for cell in selection.cells}
-    left_out = [cell.label for cell in all_cells if cell.key not in selected]
+    selected = {cell.identity for cell in selection.cells}
+    left_out = [cell.label for cell in all_cells if cell.identity not in selected]
     report = ReportData(
         title=" and ".join(experiments),
         experiments=list(experiments),
@@ -125,10 +125,10 @@ def _select(
         warnings = []
 
     contrasts = []
-    by_key = {cell.key: cell for cell in labelled if len(cell.done)}
+    finished = {cell.identity: cell for cell in labelled if len(cell.done)}
     for first, second in pairs:
-        if first.key in by_key and second.key in by_key:
-            contrasts.append((by_key[first.key].id, by_key[second.key].id))
+        if first.identity in finished and second.identity in finished:
+            contrasts.append((finished[first.identity].id, finished[second.identity].id))
         else:
             untested.append(f"{first.label} minus {second.label}")
     if untested:
