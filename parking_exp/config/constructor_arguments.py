@@ -8,7 +8,6 @@ without them is checked first.
 import inspect
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
-from importlib import import_module
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
@@ -16,7 +15,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
-from parking_exp.errors import ConfigError, did_you_mean, one_line, suggestion
+from parking_exp.dotted_paths import import_object
+from parking_exp.errors import ConfigError, did_you_mean, suggestion
 
 # Base classes of the sections' classes.
 BASES = {
@@ -64,20 +64,6 @@ SET_BY_RUN = {
     "algorithm.policy_kwargs.features_extractor_kwargs": {"observation_space"},
     "tracking.trackers": {"config", "run_dir"},
 }  # fmt: skip
-
-
-def import_object(target: str) -> Any:
-    """Import the class or function at a dotted path.
-
-    Raises:
-        ConfigError: it does not exist, or its module cannot be imported.
-    """
-    module, _, name = str(target).rpartition(".")
-    try:
-        return getattr(import_module(module), name)
-    except Exception as error:  # whatever a module does when it is imported
-        extra = "; pip install 'parking-exp[contrib]'" if module.startswith("sb3_contrib") else ""
-        raise ConfigError(f"{type(error).__name__}: {one_line(error)}{extra}") from error
 
 
 def class_path(value: Any) -> Any:

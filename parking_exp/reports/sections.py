@@ -9,7 +9,7 @@ from pathlib import Path
 
 import matplotlib.figure
 
-from parking_exp.config.constructor_arguments import import_object
+from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError
 from parking_exp.figure_style import SectionFigure, clean, report_style
 from parking_exp.reports.cell_summaries import HOLD
@@ -150,10 +150,7 @@ def load_sections(paths: Sequence[str]) -> list[Section]:
     """
     sections = []
     for path in paths:
-        try:
-            section = import_object(path)
-        except ConfigError as error:
-            raise ConfigError(f"report.sections: {path}: {error}") from error
+        section = import_object(path, f"report.sections: {path}")
         if not isinstance(section, Section):
             raise ConfigError(
                 f"report.sections: {path} is not a parking_exp.reports.sections.Section"

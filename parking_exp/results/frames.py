@@ -307,7 +307,9 @@ def _read_files(
                 return parse(content), None
         except Exception as error:
             return None, f"{name} can't be read: {reason(error)}"
-        return None, f"{name} is missing in the store" if run["status"] == "done" else None
+        if run["status"] == "done":
+            return None, f"{name} is missing in the store"
+        return None, None
 
     records = runs.to_dict("records")
     parsed = {}

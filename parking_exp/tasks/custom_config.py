@@ -17,8 +17,8 @@ class CustomConfig(TaskConfig):
         kwargs: arguments of its constructor.
     """
 
-    simulators: ClassVar[tuple[str, ...]] = ("custom",)
-    simulator: ClassVar[str] = "custom"
+    simulators: ClassVar[tuple[str, ...]] = ("task_class",)
+    simulator: ClassVar[str] = "task_class"
 
     task: Annotated[str, Field(pattern=CLASS_PATH)]
     kwargs: Annotated[dict[str, Any], Field(default_factory=dict)]

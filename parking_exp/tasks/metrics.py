@@ -5,12 +5,12 @@ read them. `env.metrics` adds metrics of a user's own package, by dotted paths. 
 has keys and values alone, so that reading it imports nothing of that package.
 """
 
-import pkgutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from parking_exp.errors import ConfigError, one_line
+from parking_exp.dotted_paths import import_object
+from parking_exp.errors import ConfigError
 
 EPISODE_SEED = "scene"
 """Column of the seed from which an evaluation episode started, in `episodes.csv` and in frames."""
@@ -133,10 +133,7 @@ def load_metrics(paths: Iterable[str], known: Sequence[Metric]) -> tuple[Metric,
     taken = {"run_id", "phase", "step", *episode_columns(known), *(each.name for each in known)}
     for number, path in enumerate(paths):
         assignment = f"env.metrics.{number}={path}"
-        try:
-            metric = pkgutil.resolve_name(path)
-        except Exception as error:  # whatever a module does when it is imported
-            raise ConfigError(f"{assignment}: {type(error).__name__}: {one_line(error)}") from error
+        metric = import_object(path, assignment)
         if not isinstance(metric, Metric):
             raise ConfigError(f"{assignment} is not a parking_exp.tasks.metrics.Metric")
         if not metric.name.isidentifier():

@@ -2,13 +2,13 @@
 each.
 """
 
-import pkgutil
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Discriminator, Tag
 
+from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, one_line
 from parking_exp.tasks.custom_config import CLASS_PATH, CustomConfig
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
@@ -91,14 +91,14 @@ def _make_task(config: EnvConfig) -> "Task":
 def _make_custom(config: CustomConfig) -> "Task":
     from parking_exp.tasks.task import Task
 
+    setting = f"env.task={config.task}"
+    task_class = import_object(config.task, setting)
+    if not (isinstance(task_class, type) and issubclass(task_class, Task)):
+        raise ConfigError(f"{setting}: it is not a subclass of {Task.__module__}.Task")
     try:
-        task_class = pkgutil.resolve_name(config.task)
-        if not (isinstance(task_class, type) and issubclass(task_class, Task)):
-            raise TypeError(f"it is not a subclass of {Task.__module__}.Task")
         return task_class(**config.kwargs)
-    except Exception as error:  # whatever a module or a constructor raises
-        reason = f"{type(error).__name__}: {one_line(error)}"
-        raise ConfigError(f"env.task={config.task}: {reason}") from error
+    except Exception as error:  # whatever a constructor raises
+        raise ConfigError(f"{setting}: {type(error).__name__}: {one_line(error)}") from error
 
 
 def task_reports(tasks: Iterable[str]) -> "Iterator[TaskReport]":

@@ -26,7 +26,7 @@ from parking_exp.config.paths import (
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError, plural
 from parking_exp.runs.atomic_files import read_file
-from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.directory import RunDirectory, Status
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.output_identity import output_id
@@ -149,58 +149,78 @@ def _send(
         experiment_id = store.experiment_id(config)
     else:
         experiment_id = _new_experiment(config, store, new_experiments)
-    run, earlier = (None, []) if is_new else _find(directory, store, experiment_id, tags)
-    run_name = f"{config.cell}-seed={config.seed}"
+    run = None
+    earlier: list[Run] = []
+    if not is_new:
+        run, earlier = _find(directory, store, experiment_id, tags)
     if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
         return  # its results stay until that is done
     for each in earlier:
         with store.writing() as client:
             client.delete_run(each.info.run_id)  # it can be restored in MLflow's UI
-    # Nobody reads a store that is being made: its runs have their last tags and names from the
-    # start.
+
     last_tags = {DIGEST: digest, STATUS: status}
-    last_name = f"{rate_in_name(directory)}{run_name}" if status == "done" else run_name
-    if run is None:
-        start_ms = int(tags[STARTED]) if STARTED in tags else None
-        first_tags = last_tags if is_new else {STATUS: "running"}
-        with store.writing() as client:
-            run = client.create_run(
-                experiment_id, start_ms, tags | first_tags, last_name if is_new else run_name
-            )
+    first_name = f"{config.cell}-seed={config.seed}"
+    last_name = f"{rate_in_name(directory)}{first_name}" if status == "done" else first_name
+    if is_new:
+        # Nobody reads a store that is being made: its runs begin with their last tags and names.
+        run = _create(store, experiment_id, tags | last_tags, last_name)
+    elif run is None:
+        run = _create(store, experiment_id, tags | {STATUS: "running"}, first_name)
     if directory.run_id != run.info.run_id or directory.tracking_uri != uri:
         directory.update(run_id=run.info.run_id, tracking_uri=uri)
-    is_same = (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"])
-    if not is_new and is_same and store.has_artifacts(run, files):
-        return
-    if (
-        not is_new
-        and status == "done"
-        and run.data.tags.get(STATUS) == "done"
-        and not directory.has_hashes
-    ):
+    if not is_new:
+        stored = (run.data.tags.get(DIGEST), run.data.tags.get("run_dir"))
+        if stored == (digest, tags["run_dir"]) and store.has_artifacts(run, files):
+            return
+        _refuse_unverifiable(directory, run, status)
+
+    _send_content(store, run, config, tags, files)
+    _end(store, run, status, files)
+    # What MLflow's UI shows first of a run. A name that a user gave it stays.
+    if run.info.run_name == first_name != last_name:
+        with store.writing() as client:
+            client.update_run(run.info.run_id, name=last_name)
+    store.log(run, {}, last_tags)
+
+
+def _create(store: Store, experiment_id: str, tags: Mapping[str, str], name: str) -> "Run":
+    start_ms = int(tags[STARTED]) if STARTED in tags else None
+    with store.writing() as client:
+        return client.create_run(experiment_id, start_ms, dict(tags), name)
+
+
+def _refuse_unverifiable(directory: RunDirectory, run: "Run", status: Status) -> None:
+    """Raise StoreError for a finished run that the store has, and whose change can't be checked."""
+    is_finished = status == "done" and run.data.tags.get(STATUS) == "done"
+    if is_finished and not directory.has_hashes:
         raise StoreError(
             "files changed, and result.json has no hashes to check them; the store keeps what it "
             "has"
         )
-    params = {
-        key: setting_text(value)[:MAX_PARAM_LENGTH]
-        for key, value in settings_of(config.plain()).items()
-    }
+
+
+def _send_content(
+    store: Store, run: "Run", config: RunConfig, tags: Mapping[str, str], files: Mapping[str, Path]
+) -> None:
+    """Send the parameters, tags, metrics and files of a run."""
+    params = {}
+    for key, value in settings_of(config.plain()).items():
+        params[key] = setting_text(value)[:MAX_PARAM_LENGTH]
     store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
     for name, file in files.items():
         store.put_artifact(run, name, read_file(file))
+
+
+def _end(store: Store, run: "Run", status: Status, files: Mapping[str, Path]) -> None:
+    """Write MLflow's own status of a run, and when it ended."""
     with store.writing() as client:
         if status == "running":
             client.update_run(run.info.run_id, "RUNNING")
-        else:
-            last = files.get(METRICS_FILE, files[CONFIG_FILE])
-            end_ms = last.stat().st_mtime_ns // 1_000_000
-            client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
-        if (
-            run.info.run_name == run_name != last_name
-        ):  # the first thing that MLflow's UI shows of a run
-            client.update_run(run.info.run_id, name=last_name)
-    store.log(run, {}, last_tags)
+            return
+        last = files.get(METRICS_FILE, files[CONFIG_FILE])
+        end_ms = last.stat().st_mtime_ns // 1_000_000
+        client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
 
 
 def try_mirror(directory: RunDirectory, store: Store) -> str | None:

@@ -1,4 +1,4 @@
-"""What the store has of a run directory: status, files, tags, and a digest of them."""
+"""Status, files, tags and digest of a run in the MLflow store, made from its run directory."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -101,18 +101,19 @@ def files_in_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
     """
     path = directory.path
     files = {CONFIG_FILE: path / CONFIG_FILE}
-    if checkpoints := sorted(directory.checkpoints.glob("step=*")):
-        files[METRICS_FILE] = checkpoints[-1] / METRICS_FILE  # what is final of it
+    checkpoints = sorted(directory.checkpoints.glob("step=*"))
+    if checkpoints:
+        # Rows after the checkpoint may be written again.
+        files[METRICS_FILE] = checkpoints[-1] / METRICS_FILE
         files["checkpoint/model.zip"] = checkpoints[-1] / MODEL
     if status == "done":
         files[METRICS_FILE] = path / METRICS_FILE
     if status != "running":
-        files |= {name: path / name for name in WRITTEN_AT_THE_END}
+        for name in WRITTEN_AT_THE_END:
+            files[name] = path / name
     for folder in directory.evaluations():
-        files |= {
-            f"{EVALUATIONS}/{folder.name}/{file.name}": file
-            for file in sorted(folder.glob("[!.]*"))
-        }
+        for file in sorted(folder.glob("[!.]*")):
+            files[f"{EVALUATIONS}/{folder.name}/{file.name}"] = file
     return {name: file for name, file in files.items() if file.is_file()}
 
 

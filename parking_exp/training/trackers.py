@@ -52,23 +52,19 @@ class RunTrackers:
 
     def log(self, step: int, metrics: dict[str, float]) -> None:
         """Pass a row of metrics to each tracker."""
-        for tracker in [*self._trackers]:
-            try:
-                tracker.log(step, dict(metrics))
-            except Exception as error:
-                self._drop(tracker, error)
+        self._call_each(lambda tracker: tracker.log(step, dict(metrics)))
 
     def finish(self, status: str) -> None:
         """Tell each tracker how the run has ended."""
+        self._call_each(lambda tracker: tracker.finish(status))
+
+    def _call_each(self, call: Callable[[Tracker], None]) -> None:
         for tracker in [*self._trackers]:
             try:
-                tracker.finish(status)
+                call(tracker)
             except Exception as error:
-                self._drop(tracker, error)
-
-    def _drop(self, tracker: Tracker, error: Exception) -> None:
-        self._trackers.remove(tracker)
-        self._report(f"{type(tracker).__module__}.{type(tracker).__name__}", error)
+                self._trackers.remove(tracker)
+                self._report(f"{type(tracker).__module__}.{type(tracker).__name__}", error)
 
     def _report(self, name: str, error: Exception) -> None:
         self._say(

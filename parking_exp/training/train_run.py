@@ -27,7 +27,7 @@ from parking_exp.runs.run_provenance import command_line, record_provenance
 from parking_exp.runs.trained_here import record_training
 from parking_exp.terminal import is_script, say, unfailing_output
 from parking_exp.tracking.mirror import follow_store
-from parking_exp.tracking.tracker import Tracker
+from parking_exp.tracking.run_mirror import RunMirror
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
@@ -96,11 +96,11 @@ def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
 
 def _keep(result: RunResult, reason: str, directory: RunDirectory, config: RunConfig) -> RunResult:
     """Say why a result is kept, and return it; the store that the config names gets it, too."""
-    tracker = Tracker(config.store_uri, directory, partial(say, stderr=True))
+    mirror = RunMirror(config.store_uri, directory, partial(say, stderr=True))
     if follow_store(directory, config):
-        tracker.mirror()
+        mirror.send()
         result = directory.result() or result  # which has its run id now
-    say(reason, *_closing_lines(result, tracker))
+    say(reason, *_closing_lines(result, mirror))
     return result
 
 
@@ -111,26 +111,26 @@ def _train(
     # The process that the user started writes the store: of a supervised run, the sweep.
     writes_store = config.tracking.mlflow and not supervised
     store_uri = config.store_uri if writes_store else None
-    tracker = Tracker(store_uri, directory, partial(say, stderr=True))
+    mirror = RunMirror(store_uri, directory, partial(say, stderr=True))
     trackers = RunTrackers(config, partial(say, stderr=True))
     try:
-        description = _train_and_evaluate(config, directory, stop, tracker, trackers)
+        description = _train_and_evaluate(config, directory, stop, mirror, trackers)
     except (InterruptedRunError, KeyboardInterrupt):
         directory.update(status="interrupted")
-        tracker.mirror()
+        mirror.send()
         raise
     except BaseException as error:
-        _record_failure(error, directory, tracker)
+        _record_failure(error, directory, mirror)
         raise FailedRunError(
             f"the run failed: {type(error).__name__}: {error}; its traceback is in "
             f"{directory.path / TRACEBACK_FILE}"
         ) from error
     finally:
         trackers.finish(directory.status)
-    tracker.mirror()
+    mirror.send()
     result = directory.result()
     assert result is not None
-    say(*description, *_closing_lines(result, tracker))
+    say(*description, *_closing_lines(result, mirror))
     return result
 
 
@@ -152,15 +152,15 @@ def _train_and_evaluate(
     config: RunConfig,
     directory: RunDirectory,
     stop: StopRequest,
-    tracker: Tracker,
+    mirror: RunMirror,
     trackers: RunTrackers,
 ) -> list[str]:
     """Train from the last checkpoint to the end, write the result, and describe the episodes."""
     checkpoint = checkpoints.latest(directory.checkpoints)
     restore_logs(directory.path, checkpoint)
     record_provenance(directory.path)
-    tracker.mirror()
-    loop = TrainingLoop(config, directory, tracker.sync, trackers, checkpoint, stop)
+    mirror.send()
+    loop = TrainingLoop(config, directory, mirror.send_checkpoint, trackers, checkpoint, stop)
     with closing(loop):
         try:
             loop.learn()
@@ -189,20 +189,20 @@ def _peak_memory_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-def _record_failure(error: BaseException, directory: RunDirectory, tracker: Tracker) -> None:
+def _record_failure(error: BaseException, directory: RunDirectory, mirror: RunMirror) -> None:
     """Record status and traceback, as far as a full disk allows."""
     try:
         directory.update(status="failed", error=f"{type(error).__name__}: {error}")
         text = "".join(traceback.format_exception(error))
         write_atomically(directory.path / TRACEBACK_FILE, text)
-        tracker.mirror()
+        mirror.send()
     except Exception as second_error:  # the first is reported
         error.add_note(
             f"while recording the failure: {type(second_error).__name__}: {second_error}"
         )
 
 
-def _closing_lines(result: RunResult, tracker: Tracker) -> list[str]:
+def _closing_lines(result: RunResult, mirror: RunMirror) -> list[str]:
     """Return lines about a finished run: its success, and where it is."""
     lines = []
     rate = result.metrics.get("final/success_rate")
@@ -210,10 +210,10 @@ def _closing_lines(result: RunResult, tracker: Tracker) -> list[str]:
         lines.append(f"final success rate {rate:.1%}, after {result.steps} env steps")
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
-        ui = ui_command(tracker.directory.tracking_uri or "")
+        ui = ui_command(mirror.directory.tracking_uri or "")
         lines.append(f"MLflow run     {result.run_id}   ({ui})")
-    if tracker.problem:
-        lines.append(f"not all of it is in the store ({tracker.problem}); {tracker.hint}")
+    if mirror.problem:
+        lines.append(f"not all of it is in the store ({mirror.problem}); {mirror.hint}")
     return lines
 
 

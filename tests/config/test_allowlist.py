@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from support.runs import ROOT, evaluate_stored, make_config
 
 from parking_exp.config.allowlist import ALLOWED, check_trust
-from parking_exp.config.constructor_arguments import import_object
+from parking_exp.dotted_paths import import_object
 from parking_exp.errors import UntrustedError
 from parking_exp.runs.run_files import read_config
 

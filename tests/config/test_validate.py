@@ -11,8 +11,9 @@ from support.runs import make_config
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS
 from parking_exp.config.compose import compose_configs
-from parking_exp.config.constructor_arguments import SET_BY_RUN, import_object
+from parking_exp.config.constructor_arguments import SET_BY_RUN
 from parking_exp.config.validate import validate, validate_all
+from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError
 
 DELETED = object()

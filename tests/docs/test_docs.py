@@ -4,8 +4,10 @@ import json
 import os
 import re
 import shlex
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pandas as pd
@@ -15,6 +17,7 @@ from support.runs import ROOT, call_script
 from support.store_factory import make_store
 
 from parking_exp import compose, train
+from parking_exp.runs.metric_logs import read_metrics
 
 PAGES = [
     ROOT / "README.md",
@@ -160,6 +163,24 @@ def test_the_task_of_the_extending_page_is_learned(output_dir, tmp_path, monkeyp
     metrics = train(config).metrics
     assert metrics["final/success_rate"] >= 0.9  # of a policy that stands still: 0.01
     assert -1 <= metrics["final/end_x_mean"] <= 1
+
+
+def test_the_tracker_of_the_extending_page_has_each_value(output_dir, tmp_path, monkeypatch):
+    write_examples(EXTENDING, tmp_path, "python")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    overrides = ("experiment=smoke", "total_timesteps=200", f"output_dir={output_dir}")
+    tracker = "tracking.trackers=[my_trackers.DatabaseTracker]"
+    result = train(compose(*overrides, "tracking.mlflow=false", tracker))
+
+    with closing(sqlite3.connect("metrics.db")) as database:
+        rows = database.execute("SELECT run, step, name, value FROM metrics").fetchall()
+    expected = []
+    for record in read_metrics(Path(result.run_dir) / "metrics.jsonl"):
+        for name, value in record["metrics"].items():
+            expected.append((result.run_dir, record["step"], name, value))
+    assert len(expected) > 20
+    assert rows == expected
 
 
 SHORT = [

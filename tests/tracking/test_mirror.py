@@ -33,8 +33,8 @@ from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import provenance_tags
 from parking_exp.tracking.client import connect
 from parking_exp.tracking.mirror import mirror_missing, sync_hint, try_mirror
+from parking_exp.tracking.run_mirror import RunMirror
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.tracker import Tracker
 
 
 def mirror_all(output_dir, uri=None):
@@ -285,17 +285,17 @@ def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
     blocked.touch()  # a file where the database's folder is to be
     uri = f"sqlite:///{blocked / 'mlflow.db'}"
     directory, messages = written_run(fresh_dir, uri=uri), []
-    tracker = Tracker(uri, directory, messages.append)
-    tracker.mirror()
+    run_mirror = RunMirror(uri, directory, messages.append)
+    run_mirror.send()
     problem = f"[Errno 17] File exists: '{blocked}'"
-    assert tracker.problem == problem
+    assert run_mirror.problem == problem
     assert problem in messages[0]
     assert sync_hint(fresh_dir, uri) in messages[0]
     blocked.unlink()
-    tracker.sync()
-    assert tracker.problem == problem
-    tracker.mirror()
-    assert tracker.problem is None
+    run_mirror.send_checkpoint()
+    assert run_mirror.problem == problem
+    run_mirror.send()
+    assert run_mirror.problem is None
     assert messages[1:] == ["the store is complete again"]
 
 

@@ -1,12 +1,9 @@
 """Trackers of a user's own package, named in the config."""
 
 import json
-import re
-import sqlite3
-from contextlib import closing
 
 import pytest
-from support.runs import ROOT, make_config, run_script
+from support.runs import make_config, run_script
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, UntrustedError
@@ -110,26 +107,6 @@ def test_trackers_work_in_the_processes_of_a_sweep(tmp_path):
     assert ends == [["finish", "done"], ["finish", "done"], ["start", 0], ["start", 1]]
     n_rows = len(logged(run_dir)) + len(logged(other))
     assert [call[0] for call in calls(run_dir)].count("log") == n_rows
-
-
-def test_the_tracker_of_the_extending_page_has_each_value(tmp_path, monkeypatch):
-    page = (ROOT / "docs" / "extending.md").read_text()
-    code = re.search(
-        r"^```python title=\"my_trackers.py\"\n(.*?)^```", page, re.DOTALL | re.MULTILINE
-    )
-    (tmp_path / "my_trackers.py").write_text(code[1])
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    run = config(tmp_path, "my_trackers.DatabaseTracker")
-
-    train(run)
-
-    with closing(sqlite3.connect(tmp_path / "metrics.db")) as database:
-        rows = database.execute("SELECT run, step, name, value FROM metrics").fetchall()
-    expected = []
-    for _, step, metrics in logged(run.run_dir):
-        expected += [(str(run.run_dir), step, name, value) for name, value in metrics.items()]
-    assert rows == expected
 
 
 def test_trackers_change_no_key_of_a_run_and_are_not_trusted_in_the_runs_of_others(tmp_path):

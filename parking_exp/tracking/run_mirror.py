@@ -7,7 +7,7 @@ from parking_exp.tracking.mirror import sync_hint, try_mirror
 from parking_exp.tracking.store import Store
 
 
-class Tracker:
+class RunMirror:
     """Mirrors a run to its store; after a failure it tries again only at the end of the run.
 
     Args:
@@ -19,22 +19,23 @@ class Tracker:
     def __init__(
         self, uri: str | None, directory: RunDirectory, say: Callable[[str], None]
     ) -> None:
-        self.uri, self.directory, self.say = uri, directory, say
+        self.uri = uri
+        self.directory = directory
+        self.say = say
         self.problem: str | None = None
 
-    def sync(self) -> None:
-        """Mirror a new checkpoint, unless the store has failed: each attempt could take minutes."""
+    def send_checkpoint(self) -> None:
+        """Send a new checkpoint, unless the store has failed: each attempt could take minutes."""
         if self.problem is None:
-            self.mirror()
+            self.send()
 
-    def mirror(self) -> None:
-        """Mirror the run as it is, at its start and after its last status is written."""
+    def send(self) -> None:
+        """Send the run as it is, at its start and after its last status is written."""
         if self.uri is None:
             return
-        before, self.problem = (
-            self.problem,
-            try_mirror(self.directory, Store(self.uri, self.directory.output_dir)),
-        )
+        before = self.problem
+        store = Store(self.uri, self.directory.output_dir)
+        self.problem = try_mirror(self.directory, store)
         if before and self.problem is None:
             self.say("the store is complete again")
         elif self.problem and before is None:
