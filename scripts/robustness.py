@@ -1,13 +1,17 @@
 #!/usr/bin/env python
-"""Print how the pretrained agents do on perturbed tasks, as a Markdown table of rates in percent
-over 500 scenes.
+"""Print how agents do on perturbed tasks, as a Markdown table of rates in percent over 500 scenes.
 
-`default` reaches its slot, `parked` and `crowded` stop in it; each on the env of its training,
-`crowded` among 10 cars.
+    python scripts/robustness.py [RUN ...]
+
+A run is what `scripts/evaluate.py` takes; the rates of a folder of runs are averaged. Without
+arguments these are the pretrained agents. Each is evaluated on the env of its training, with 10
+cars if it was trained among cars. It has to reach its slot, or to stop in it where success requires
+that.
 """
 
 import sys
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +21,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from parking_exp.algorithms.build_model import greedy_policy
-from parking_exp.evaluation.agents import find_agent
+from parking_exp.evaluation.agents import find_agents
 from parking_exp.tasks.metrics import Episode, outcome
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS
@@ -28,12 +32,7 @@ from parking_exp.tasks.task import Policy
 from parking_exp.terminal import say
 
 N_SCENES = 500
-# And what each was trained for.
-AGENTS = {
-    "default": "success",
-    "parked": "parked",
-    "crowded": "parked",
-}
+PRETRAINED_AGENTS = ["pretrained/default", "pretrained/parked", "pretrained/crowded"]
 PARKED = next(metric for metric in METRICS if metric.name == "parked")
 
 
@@ -75,22 +74,41 @@ PERTURBATIONS = {
 
 
 def main() -> None:
-    """Evaluate every agent on every perturbation."""
-    if len(sys.argv) > 1:
+    """Evaluate the agents of every argument on every perturbation."""
+    runs = sys.argv[1:] or PRETRAINED_AGENTS
+    if runs[0].startswith("-"):
         say(__doc__ or "")
         return
-    agents = [find_agent(f"pretrained/{name}", Path("outputs")) for name in AGENTS]
-    policies = [agent.model(make_task(agent.config.env)) for agent in agents]
-    heads = [f"`{name}`: {metric} (crash)" for name, metric in AGENTS.items()]
-    say(f"| perturbation | {' | '.join(heads)} |", f"|---|{'---:|' * len(agents)}")
+    columns = [Column(run) for run in runs]
+    headings = [f"`{column.name}`: {column.metric} (crash)" for column in columns]
+    say(f"| perturbation | {' | '.join(headings)} |", f"|---|{'---:|' * len(columns)}")
     for title, perturbation in PERTURBATIONS.items():
-        rates = []
-        for agent, model, metric in zip(agents, policies, AGENTS.values(), strict=True):
-            assert isinstance(agent.config.env, ParkingConfig)
-            config = _perturbed(agent.config.env, perturbation)
-            shares = evaluate(greedy_policy(model), config, perturbation)
-            rates.append(f"{100 * shares[metric]:.1f} ({100 * shares['crash']:.1f})")
+        rates = [column.rates(perturbation) for column in columns]
         say(f"| {title} | {' | '.join(rates)} |")
+
+
+class Column:
+    """The agents of a run, or of a folder of runs."""
+
+    def __init__(self, run: str) -> None:
+        self.name = Path(run).name
+        self.agents = []
+        for agent in find_agents(run, Path("outputs")):
+            assert isinstance(agent.config.env, ParkingConfig)
+            with closing(make_task(agent.config.env)) as task:
+                self.agents.append((greedy_policy(agent.model(task)), agent.config.env))
+        _, env = self.agents[0]
+        weighs_velocity = any(env.reward_weights[2:4])
+        self.metric = "parked" if weighs_velocity else "success"
+
+    def rates(self, perturbation: Perturbation) -> str:
+        """Return the mean rates of the agents in percent, e.g. `97.2 (0.8)`."""
+        shares = []
+        for policy, env in self.agents:
+            shares.append(evaluate(policy, _perturbed(env, perturbation), perturbation))
+        rate = np.mean([share[self.metric] for share in shares])
+        crash = np.mean([share["crash"] for share in shares])
+        return f"{100 * rate:.1f} ({100 * crash:.1f})"
 
 
 def _perturbed(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:

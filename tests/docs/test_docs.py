@@ -108,11 +108,11 @@ def test_commands_run(first, tmp_path):
     winner = tmp_path / "outputs" / "recipe" / "tuned_recipe.yaml"  # as a search writes it
     winner.parent.mkdir(parents=True)
     winner.write_text("# @package _global_\nexperiment_name: tuned\n")
-    # The commands of extending.md need the files of its examples; benchmarks take minutes.
+    # The commands of extending.md need the files of its examples; the two scripts take minutes.
     every = [
         command
         for command in commands(*(set(PAGES) - {EXTENDING}))
-        if not command.startswith("benchmark.py")
+        if not command.startswith(("benchmark.py", "robustness.py"))
     ]
     read_first = commands(ROOT / "README.md", ROOT / "docs" / "getting_started.md")
     selected = [

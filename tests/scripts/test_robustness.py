@@ -1,4 +1,4 @@
-"""The script that evaluates the pretrained agents on perturbed tasks."""
+"""The script that evaluates agents on perturbed tasks."""
 
 import importlib.util
 import sys
@@ -12,12 +12,17 @@ from parking_exp.algorithms.build_model import greedy_policy
 SCRIPT = Path(__file__).parents[2] / "scripts" / "robustness.py"
 
 
-@pytest.mark.slow
-def test_noise_is_tolerated_and_delay_is_not(monkeypatch):
+@pytest.fixture
+def script(monkeypatch):
     spec = importlib.util.spec_from_file_location("robustness", SCRIPT)
     script = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "robustness", script)
     spec.loader.exec_module(script)
+    return script
+
+
+@pytest.mark.slow
+def test_noise_is_tolerated_and_delay_is_not(script, monkeypatch):
     monkeypatch.setattr(script, "N_SCENES", 50)
     policy, env = greedy_policy(load_model("pretrained")), compose("env=parking").env
     assert script.evaluate(policy, env, script.Perturbation(noise=0.1)) == {
@@ -26,3 +31,25 @@ def test_noise_is_tolerated_and_delay_is_not(monkeypatch):
         "parked": 0,
     }
     assert script.evaluate(policy, env, script.Perturbation(delay=2))["success"] < 0.5
+
+
+def test_arguments_name_the_agents_and_what_success_requires_names_the_metric(
+    script, monkeypatch, capsys
+):
+    monkeypatch.setattr(script, "N_SCENES", 4)
+    monkeypatch.setattr(script, "PERTURBATIONS", {"none": script.Perturbation()})
+    monkeypatch.setattr(sys, "argv", ["robustness.py", "pretrained", "pretrained/parked"])
+    script.main()
+    assert capsys.readouterr().out.splitlines() == [
+        "| perturbation | `pretrained`: success (crash) | `parked`: parked (crash) |",
+        "|---|---:|---:|",
+        "| none | 100.0 (0.0) | 100.0 (0.0) |",
+    ]
+
+
+def test_rates_of_several_agents_are_averaged(script, monkeypatch):
+    shares = iter([{"success": 1.0, "crash": 0.0}, {"success": 0.5, "crash": 0.25}])
+    monkeypatch.setattr(script, "evaluate", lambda *_: next(shares))
+    column = script.Column("pretrained")
+    column.agents *= 2
+    assert column.rates(script.Perturbation()) == "75.0 (12.5)"
