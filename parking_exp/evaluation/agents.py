@@ -139,8 +139,8 @@ def load_model(
         run: run directory, MLflow run id, `latest`, `pretrained` or `pretrained/NAME`.
         output_dir: where runs are looked for.
         model: which of a run's models.
-        trust: whether its config may name classes that are not on the list of known ones. Those of
-            a run that you trained here may.
+        trust: accept classes in its config that are not on the list of known ones. A run that you
+            trained here does not need it.
 
     Raises:
         ConfigError: its config can't be read, or a model of its class can't be restored exactly.
