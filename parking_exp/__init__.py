@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from parking_exp.config.compose import compose
     from parking_exp.evaluation.agents import load_model
     from parking_exp.results import load
-    from parking_exp.training.train_run import train
+    from parking_exp.sweeps.single_run import train
 
 __version__ = "0.1.0"
 __all__ = ["compose", "load", "load_model", "train"]
@@ -26,7 +26,7 @@ _HOMES = {
     "compose": "parking_exp.config.compose",
     "load": "parking_exp.results",
     "load_model": "parking_exp.evaluation.agents",
-    "train": "parking_exp.training.train_run",
+    "train": "parking_exp.sweeps.single_run",
 }
 
 

@@ -2,9 +2,13 @@
 
 from parking_exp.cli.command import run_command
 from parking_exp.config.compose import compose_configs
+from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.evaluate_run import TRAINING_KEYS, evaluate_runs
-from parking_exp.terminal import program
+from parking_exp.evaluation.evaluate_run import TRAINING_KEYS, EvaluationRequest, evaluate_runs
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.terminal import program, say
+from parking_exp.tracking.store import Store
+from parking_exp.tracking.sync import sync_hint, try_sync
 
 
 def main() -> None:
@@ -14,7 +18,29 @@ def main() -> None:
 
 def evaluate(overrides: list[str], extra_config_dir: str | None) -> None:
     """Evaluate the agents of every config that the overrides define."""
-    evaluate_runs(compose_configs("evaluate", overrides, extra_config_dir))
+    evaluate_runs(compose_configs("evaluate", overrides, extra_config_dir), sync_results)
+
+
+def sync_results(request: EvaluationRequest, directory: RunDirectory) -> None:
+    """Sync a run with `tracking.uri`, or with the embedded store of the output directory.
+
+    A run directory may be foreign: nothing is sent to the store that it names.
+    """
+    tracked_in = directory.tracking_uri
+    uri = request.tracking.uri
+    if not request.tracking.mlflow or (uri is None and tracked_in is None):
+        return
+    store = Store(uri or default_uri(request.output_path), directory.output_dir)
+    if uri is None and not store.tracks(directory):
+        say(
+            f"not stored     the run is tracked in {tracked_in}, not in the store of "
+            f"output_dir={request.output_path}; tracking.uri={tracked_in} sends the results "
+            "there"
+        )
+        return
+    problem = try_sync(directory, store)
+    if problem is not None:
+        say(f"not stored     {problem}; {sync_hint(directory.output_dir, store.uri)}")
 
 
 def read_overrides(words: list[str]) -> list[str]:

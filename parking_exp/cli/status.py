@@ -23,8 +23,8 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import RunState, as_plain, as_planned, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import check_output, console, say
-from parking_exp.tracking.mirror import delete_stored, mirror_missing
 from parking_exp.tracking.store import Store
+from parking_exp.tracking.sync import delete_stored, sync_missing
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
 from parking_exp.tuning.trials import OBJECTIVE, count_states, progress_lines, progress_table
 
@@ -134,7 +134,7 @@ def _sync(request: StatusRequest) -> None:
             )
     n_failed = 0
     for uri in uris:
-        for directory, problem in mirror_missing(directories, Store(uri, request.output_path)):
+        for directory, problem in sync_missing(directories, Store(uri, request.output_path)):
             say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
             n_failed += problem is not None
     if n_failed:

@@ -40,8 +40,8 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
         launcher = launcher_of(runs, extra_config_dir, connect=is_due and not options.dry_run)
         sweep(planned, launcher, dry_run=options.dry_run)
     else:
-        from parking_exp.training.train_run import train as train_run
+        from parking_exp.sweeps import single_run
 
         gc.freeze()
         gc.enable()
-        train_run(planned[0].config)
+        single_run.train(planned[0].config)

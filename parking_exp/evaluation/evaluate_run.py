@@ -1,6 +1,6 @@
 """Evaluate stored runs: rates with intervals, a table of episodes, a video."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import NonNegativeInt
 
 from parking_exp.config.cell_labels import find_factors, label_factors, setting, settings_of
-from parking_exp.config.paths import default_uri, is_same_store, resolved
+from parking_exp.config.paths import resolved
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
@@ -139,9 +139,34 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
     return request
 
 
-def evaluate_runs(configs: Sequence[DictConfig]) -> None:
-    """Evaluate the agents that each config names; several evaluations make a table."""
+def evaluate_runs(
+    configs: Sequence[DictConfig], on_saved: Callable[[EvaluationRequest, RunDirectory], None]
+) -> None:
+    """Evaluate the agents that each config names; several evaluations make a table.
+
+    `on_saved` is called with the directory of a run that has new results, and their request.
+    """
     requests = [validate_request(config) for config in configs]
+    evaluations = _find_evaluations(requests)
+    folders = {resolved(evaluation.folder) for evaluation in evaluations}
+    if len(folders) < len(evaluations):
+        raise ConfigError(
+            "two of these evaluations would share a folder; leave name out, and name each run once"
+        )
+
+    summaries = []
+    for evaluation in evaluations:
+        summaries.append(_evaluate(evaluation))
+        directory = evaluation.agent.directory
+        if directory is not None:
+            on_saved(evaluation.request, directory)
+        say(f"results        {evaluation.folder}")
+    if len(evaluations) > 1:
+        say("", *_table(evaluations, summaries).split("\n"))
+
+
+def _find_evaluations(requests: Sequence[EvaluationRequest]) -> list[Evaluation]:
+    """Return each agent that is asked for, with the env that it is evaluated on."""
     find = cache(find_agents)  # once, for all the envs that they are evaluated on
     evaluations = []
     for request in requests:
@@ -153,15 +178,7 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
             agents = find(run, request.output_path, request.model, trust=request.trust)
         for agent in agents:
             evaluations.append(Evaluation(request, agent, choose_env(request, agent)))
-    folders = {resolved(evaluation.folder) for evaluation in evaluations}
-    if len(folders) < len(evaluations):
-        raise ConfigError(
-            "two of these evaluations would share a folder; leave name out, and name each run once"
-        )
-
-    summaries = [_evaluate(evaluation) for evaluation in evaluations]
-    if len(evaluations) > 1:
-        say("", *_table(evaluations, summaries).split("\n"))
+    return evaluations
 
 
 def _table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, float]]) -> str:
@@ -197,7 +214,7 @@ def _env_labels(evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def _evaluate(evaluation: Evaluation) -> dict[str, float]:
-    """Evaluate an agent, print, write and store the results, and return the rates and means."""
+    """Evaluate an agent, print and write the results, and return the rates and means."""
     from parking_exp.algorithms.build_model import greedy_policy, torch_settings
     from parking_exp.evaluation.evaluate_policy import describe, evaluate, intervals, summarise
     from parking_exp.evaluation.evaluation_progress import evaluation_progress
@@ -222,9 +239,6 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
 
     summary = summarise(episodes, task.metrics)
     _write_summary(evaluation, summary, intervals(episodes, task.metrics))
-    if agent.directory is not None and request.tracking.mlflow:
-        _store(request, agent.directory)
-    say(f"results        {folder}")
     return summary
 
 
@@ -276,32 +290,6 @@ def _record_video(policy: Policy, task: Task, request: EvaluationRequest, folder
         say(str(error))
     for path in sorted(folder.glob("video.*")):
         say(f"video          {path}")
-
-
-def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
-    """Send the results to `tracking.uri`, or to the embedded store of the output directory.
-
-    A run directory may be foreign: nothing is sent to the store that it names.
-    """
-    from parking_exp.tracking.mirror import sync_hint, try_mirror
-    from parking_exp.tracking.store import Store
-
-    uri = request.tracking.uri
-    if uri is None:
-        tracked_in = directory.tracking_uri
-        if tracked_in is None:
-            return
-        uri = default_uri(request.output_path)
-        if not is_same_store(tracked_in, uri):
-            say(
-                f"not stored     the run is tracked in {tracked_in}, not in the store of "
-                f"output_dir={request.output_path}; tracking.uri={tracked_in} sends the results "
-                "there"
-            )
-            return
-    problem = try_mirror(directory, Store(uri, directory.output_dir))
-    if problem is not None:
-        say(f"not stored     {problem}; {sync_hint(directory.output_dir, uri)}")
 
 
 def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:

@@ -27,7 +27,7 @@ from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.tasks.registry import METRICS, added_metrics
 from parking_exp.tracking.client import reason
-from parking_exp.tracking.mirror import prepare
+from parking_exp.tracking.embedded_store import prepare
 from parking_exp.tracking.store import Store
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Plan and run a sweep: describe what is due, write configs, launch, watch, sync the store, sum up.
+"""Plan and run a sweep: describe what is due, write configs, launch, watch, sync, sum up.
 
 Its whole state is in the run directories: the same command resumes it, and several sweeps can share
 one experiment.
@@ -24,10 +24,11 @@ from parking_exp.runs.run_state import RunState, Stage, count_stages, read_state
 from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.store_writer import StoreWriter
+from parking_exp.sweeps.store_thread import syncing
 from parking_exp.terminal import console, program
 from parking_exp.tracking.client import say_ignored_store
-from parking_exp.tracking.mirror import follow_store
+from parking_exp.tracking.store_writer import StoreWriter
+from parking_exp.tracking.sync import follow_store
 
 POLL_S = 1.0
 
@@ -191,8 +192,8 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
     paths = [run.path for run in runs]
     monitor = Monitor(lambda: paths, len(paths))
     try:
-        writer = StoreWriter(lambda: paths, [run.config for run in runs], monitor.say)
-        with monitor, writer:
+        writer = StoreWriter([run.config for run in runs], monitor.say)
+        with monitor, syncing(lambda: paths, writer):
             _launch_all(due, launcher, monitor)
     finally:
         states = [read_state(path) for path in paths]

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError, RunLockedError
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.terminal import say
+from parking_exp.terminal import say, unfailing_output
+from parking_exp.training.signals import stop_on_signal
 
 LOG_FILE = "log.txt"
 STDOUT = 1
@@ -49,13 +50,19 @@ def _train(directory: RunDirectory, n_threads: int) -> int:
         gc.disable()  # imports are 0.8 s faster without it
         import torch  # for which cores and environment are settled now
 
-        from parking_exp.training.train_run import train
+        from parking_exp.training.train_run import check_device, train_run
 
         gc.freeze()
         gc.enable()
         if n_threads:
             torch.set_num_threads(n_threads)  # a forked process has read the server's environment
-        train(config, supervised=True)
+        # Slurm signals every process of a job, and the supervisor passes its own signal on: the
+        # checkpoint comes first.
+        with unfailing_output(), directory.training_lock(), stop_on_signal(None) as stop:
+            if directory.result() is None:  # else another worker has finished it
+                check_device(config.device)
+                # The sweep writes the store.
+                train_run(config, directory, stop, on_saved=lambda _: None)
     except InterruptedRunError as error:
         return 128 + error.signal_number
     except RunLockedError:

@@ -1,3 +1,1 @@
-"""The MLflow store: mirroring run directories to it (metrics, tags, artifacts), and reading it in
-bulk.
-"""
+"""The MLflow store: syncing run directories to it, and reading it in bulk."""

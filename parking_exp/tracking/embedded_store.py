@@ -1,33 +1,103 @@
-"""The store inside of an output directory: can it be used, or has it to be made again from the run
-directories?
+"""The store inside of an output directory, which is made again from the run directories if it can't
+be used.
 
 It can't be used if it is missing, if its creation was interrupted, or if the output directory was
-moved or copied: MLflow keeps absolute locations of artifacts, which its client can't change.
-`mirror.prepare` makes another. A store that has anything of others, or that a newer MLflow has
-made, is never replaced.
+moved or copied: MLflow keeps absolute locations of artifacts, which its client can't change. A
+store that has anything of others, or that a newer MLflow has made, is never replaced.
 """
 
+import os
 import secrets
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rich.progress import track
+
 from parking_exp.config.paths import ARTIFACTS, SQLITE
-from parking_exp.errors import StoreError
-from parking_exp.terminal import say
-from parking_exp.tracking.client import OUTPUT_DIR_TAG, import_mlflow, open_client, reason
+from parking_exp.errors import StoreError, plural
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import find_runs
+from parking_exp.terminal import console, say
+from parking_exp.tracking.client import (
+    OUTPUT_DIR_TAG,
+    import_mlflow,
+    lock_path,
+    no_garbage_collection,
+    open_client,
+    reason,
+    write_lock,
+)
+from parking_exp.tracking.store import Store
+from parking_exp.tracking.write_run import write_new_run
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 EXPERIMENTS = 50_000  # in one request, MLflow's limit
+FEW_RUNS = 20  # are written in a second or two
 MOVE_IT = (
     "move it away, and the next command makes one from the run directories; "
     "or name a store with tracking.uri="
 )
 
 
-def is_usable(path: Path, output_dir: Path) -> bool:
+def prepare(store: Store) -> None:
+    """Make the store inside of an output directory again from the run directories, if it can't be
+    used.
+
+    Raises whatever MLflow, SQLAlchemy or the disk raise.
+    """
+    path = store.own_database
+    if path is None or (store.is_checked and path.exists()):
+        return
+    store.refuse_link()
+    output_dir = path.parent
+    output_dir.mkdir(parents=True, exist_ok=True)
+    if os.access(output_dir, os.W_OK):  # who can't write may still read
+        with write_lock(store.uri):
+            if not _is_usable(path):
+                _build(store, path)
+    store.is_checked = True
+
+
+def _build(store: Store, path: Path) -> None:
+    """Make a store from the run directories beside its database, in place of one that is there.
+
+    It is made under another name, and renamed. Runs that can't be written are named, and left to
+    the next sync.
+    """
+    output_dir = path.parent
+    _remove_unfinished(path)
+    _set_aside(path)
+    # A new name, since MLflow remembers which stores it has made.
+    unfinished = path.with_name(f"{path.name}.build-{secrets.token_hex(4)}")
+    new = Store(f"{SQLITE}{unfinished}", output_dir)
+    new.experiments()  # which makes it, even for no run
+    directories = [RunDirectory(run_dir) for run_dir in find_runs(output_dir)]
+    tracked = [directory for directory in directories if store.tracks(directory)]
+    progress = track(
+        tracked,
+        "making the store",
+        console=console(stderr=True),
+        transient=True,
+        disable=len(tracked) < FEW_RUNS,
+    )
+    experiment_ids: dict[str, str] = {}
+    problems = []
+    for directory in progress:
+        try:
+            with no_garbage_collection():
+                write_new_run(directory, new, store.uri, experiment_ids)
+        except Exception as error:  # of this run; the store has the others
+            problems.append(f"{directory.path}: {reason(error)}")
+    unfinished.replace(path)
+    lock_path(unfinished).unlink(missing_ok=True)
+    if problems:
+        say(f"the new store lacks {plural(len(problems), 'run')}, e.g. {problems[0]}", stderr=True)
+
+
+def _is_usable(path: Path) -> bool:
     """Return whether a store can be used where it is; if not, it may be replaced.
 
     Raises:
@@ -48,14 +118,15 @@ def is_usable(path: Path, output_dir: Path) -> bool:
         if text.endswith("already exists"):  # as tables of interrupted migrations do
             return False
         raise
-    if _is_where_it_was_made(client, output_dir):
+    if _is_where_it_was_made(client, path.parent):
         return True
     _refuse_content_of_others(client, path)
     return False
 
 
-def set_aside(path: Path, output_dir: Path) -> None:
+def _set_aside(path: Path) -> None:
     """Give a store and its artifacts other names, beside the old ones, and say so."""
+    output_dir = path.parent
     number = 1
     while any(output_dir.glob(f"*.replaced-{number}")):
         number += 1
@@ -68,17 +139,9 @@ def set_aside(path: Path, output_dir: Path) -> None:
             )
 
 
-def unfinished_path(path: Path) -> Path:
-    """Return a name for a store that is being made: a new one, since MLflow remembers which stores
-    it has made.
-    """
-    return path.with_name(f"{path.name}.build-{secrets.token_hex(4)}")
-
-
-def remove_unfinished(path: Path, output_dir: Path) -> None:
-    """Remove stores that processes were making when they were killed, and the artifacts that they
-    had written.
-    """
+def _remove_unfinished(path: Path) -> None:
+    """Remove stores that processes were making when they were killed, with their artifacts."""
+    output_dir = path.parent
     leftovers = list(output_dir.glob(f"*{path.name}.build-*"))
     if any(leftover.suffix != ".lock" for leftover in leftovers):  # else the store was complete
         shutil.rmtree(output_dir / ARTIFACTS, ignore_errors=True)

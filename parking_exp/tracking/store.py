@@ -14,12 +14,14 @@ from parking_exp.config.paths import (
     absolute,
     database,
     default_uri,
+    is_same_store,
     lies_inside,
     local_folder,
 )
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file, replacing
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.client import OUTPUT_DIR_TAG, connect, say_ignored_store, write_lock
 
 if TYPE_CHECKING:
@@ -27,15 +29,10 @@ if TYPE_CHECKING:
     from mlflow.entities import Metric, Run
 
 # MLflow's limits are 100 parameters, and 1,000 entries in all.
-METRICS_PER_BATCH, PARAMS_PER_BATCH = (
-    800,
-    100,
-)
-# One request for most stores; the latter is MLflow's limit.
-RUNS_PER_PAGE, EXPERIMENTS = (
-    10_000,
-    50_000,
-)
+METRICS_PER_BATCH = 800
+PARAMS_PER_BATCH = 100
+RUNS_PER_PAGE = 10_000  # one request for most stores
+EXPERIMENTS = 50_000  # MLflow's limit
 
 
 class Store:
@@ -47,7 +44,7 @@ class Store:
 
     def __init__(self, uri: str, output_dir: Path | None) -> None:
         self.uri = absolute(uri)
-        self.is_checked = False  # whether it is known to be usable; see `mirror.prepare`
+        self.is_checked = False  # whether it is known to be usable; see `prepare`
         self._database = path = database(self.uri)
         self._own_directory = (
             output_dir if path and output_dir and path.is_relative_to(output_dir) else None
@@ -75,6 +72,11 @@ class Store:
         if self._own_directory is None or self.uri != default_uri(self._own_directory):
             return None
         return self._database
+
+    def tracks(self, directory: RunDirectory) -> bool:
+        """Return whether a run directory names this store as its own."""
+        uri = directory.tracking_uri
+        return uri is not None and is_same_store(uri, self.uri)
 
     def refuse_link(self) -> None:
         """Raise StoreError if its file is a link that leads out of the output directory that it is

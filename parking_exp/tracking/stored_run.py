@@ -1,6 +1,7 @@
-"""Status, files, tags and digest of a run in the MLflow store, made from its run directory."""
+"""What the MLflow store should have of a run: status, files, tags and digest of its directory."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,54 @@ STATUS = "status"
 OUTPUT_ID = "output_id"
 FROM_STATUS = ("command", "search", "trial")
 MAX_ERROR_LENGTH = 500
+
+
+@dataclass(frozen=True)
+class RunSnapshot:
+    """What a store should have of a run directory, as it is now.
+
+    Attributes:
+        status: see `status_in_store`.
+        files: see `files_in_store`.
+        digest: see `digest_in_store`.
+        tags: all but `last_tags`.
+        first_name: of the run in MLflow's UI, until it is done.
+        last_name: with its success rate, once it is done.
+    """
+
+    config: RunConfig
+    status: Status
+    files: Mapping[str, Path]
+    digest: str
+    tags: Mapping[str, str]
+    first_name: str
+    last_name: str
+
+    @property
+    def last_tags(self) -> dict[str, str]:
+        """Tags that are written once the store has everything else."""
+        return {DIGEST: self.digest, STATUS: self.status}
+
+
+def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
+    """Return what a store should have of a run directory."""
+    config = directory.config()
+    status = status_in_store(directory)
+    files = files_in_store(directory, status)
+    first_name = f"{config.cell}-seed={config.seed}"
+    last_name = first_name
+    rate = directory.read_status().get("success_rate")
+    if status == "done" and rate is not None:
+        last_name = f"{rate:.1%} {first_name}"
+    return RunSnapshot(
+        config=config,
+        status=status,
+        files=files,
+        digest=digest_in_store(directory, status, files),
+        tags=tags_in_store(directory, config, store),
+        first_name=first_name,
+        last_name=last_name,
+    )
 
 
 def status_in_store(directory: RunDirectory) -> Status:
@@ -115,9 +164,3 @@ def files_in_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
         for file in sorted(folder.glob("[!.]*")):
             files[f"{EVALUATIONS}/{folder.name}/{file.name}"] = file
     return {name: file for name, file in files.items() if file.is_file()}
-
-
-def rate_in_name(directory: RunDirectory) -> str:
-    """Return the final success rate of a finished run as `98.6% `, or nothing where it has none."""
-    rate = directory.read_status().get("success_rate")
-    return "" if rate is None else f"{rate:.1%} "

@@ -70,7 +70,7 @@ class TrainingLoop:
         self,
         config: RunConfig,
         directory: RunDirectory,
-        on_checkpoint: Callable[[], None],
+        on_saved: Callable[[RunDirectory], None],
         trackers: RunTrackers,
         checkpoint: Path | None,
         stop: StopRequest,
@@ -78,7 +78,7 @@ class TrainingLoop:
         self.config = config
         self.directory = directory
         self.stop = stop
-        self._on_checkpoint = on_checkpoint
+        self._on_saved = on_saved
         self._best = directory.models / "best.zip"
         saved = checkpoints.load_state(checkpoint)["progress"] if checkpoint else {}
         self.progress = SavedProgress(**saved)
@@ -189,7 +189,7 @@ class TrainingLoop:
             self._best,
             self.config.checkpoint.keep_last,
         )
-        self._on_checkpoint()
+        self._on_saved(self.directory)
 
     def stop_if_asked(self) -> None:
         """Raise InterruptedRunError if a signal has asked to stop."""

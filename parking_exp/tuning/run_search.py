@@ -23,9 +23,10 @@ from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.local import LocalLauncher, run_workers
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.store_writer import StoreWriter
+from parking_exp.sweeps.store_thread import syncing
 from parking_exp.sweeps.sweep import PlannedRun, sweep
 from parking_exp.terminal import console, program
+from parking_exp.tracking.store_writer import StoreWriter
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.trial_worker import success_auc, work
 from parking_exp.tuning.trials import (
@@ -107,7 +108,8 @@ def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
         return [path for path in paths if path.name in names]
 
     n_runs = request.n_trials * len(names)
-    with Monitor(runs, n_runs) as monitor, StoreWriter(runs, [base], monitor.say):
+    monitor = Monitor(runs, n_runs)
+    with monitor, syncing(runs, StoreWriter([base], monitor.say)):
         while True:
             trials = read_trials(study, search.folder, request.search.space, request.n_trials)
             n_left = _count_left(trials, request.n_trials)

@@ -18,10 +18,10 @@ from benchmarks.updates import sb3_classes
 from parking_exp import compose
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.schema import RunConfig
+from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-from parking_exp.training.train_run import train
 
 
 def tutorial(rounds: int, steps: int) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from support.marks import slow_but
 from support.runs import make_config, only_run, script
 from support.sweep_processes import QUICK, SLOW, begin, stages, wait_until
 
+from parking_exp.sweeps.single_run import train
 from parking_exp.training.signals import stop_on_signal
-from parking_exp.training.train_run import train
 
 CLOSED = ">&- 2>&- <&-"
 FULL = ">/dev/full 2>&1"

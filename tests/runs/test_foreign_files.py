@@ -22,8 +22,8 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs, find_runs_below
 from parking_exp.runs.run_files import read_config
 from parking_exp.runs.run_state import read_state
-from parking_exp.tracking.mirror import mirror_missing
 from parking_exp.tracking.store import Store
+from parking_exp.tracking.sync import sync_missing
 
 BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [{', '.join([f'*{a}'] * 20)}]\n" for a, b in zip("abcdefg", "bcdefgh", strict=True))  # fmt: skip
 NAMES = [
@@ -57,7 +57,7 @@ def test_a_pipe_in_place_of_a_file_is_not_sent(tmp_path):
     directory = finished_run(tmp_path)
     replace_by_pipe(directory.path / "curves.png")
     store = Store(default_uri(tmp_path), tmp_path)
-    ((_, problem),) = mirror_missing([directory], store)
+    ((_, problem),) = sync_missing([directory], store)
     assert (
         problem == f"{directory.path / 'curves.png'} is neither a file nor a directory; remove it"
     )

@@ -12,7 +12,7 @@ from support.sweep_processes import QUICK
 from parking_exp import load_model
 from parking_exp.errors import UntrustedError
 from parking_exp.runs.trained_here import record_training, was_trained_here
-from parking_exp.training.train_run import train
+from parking_exp.sweeps.single_run import train
 
 OWN = (*QUICK, "algorithm._target_=support.user_algorithms.SavesExtraNetwork")
 REFUSAL = (

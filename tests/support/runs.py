@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from parking_exp.cli.evaluate import evaluate
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
-from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.runs.directory import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -90,7 +90,7 @@ def evaluate_stored(path, *arguments):
     they are.
     """
     lines = [f"run='{path}'", "episodes=1", "simulator=vectorized", *arguments]
-    return evaluate_runs(compose_configs("evaluate", lines))
+    return evaluate(lines, None)
 
 
 def in_memory():

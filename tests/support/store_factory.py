@@ -1,7 +1,7 @@
 """Stores with made-up runs, for tests of what reads a store.
 
 Configs are really composed, run directories have the files that a training leaves, and the store
-gets them by `mirror`.
+gets them by `sync_run`.
 """
 
 import json
@@ -27,8 +27,8 @@ from parking_exp.runs.metric_logs import append_episodes, copy_logs
 from parking_exp.runs.run_provenance import provenance_tags
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
-from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
+from parking_exp.tracking.sync import sync_run
 from support.result_frames import Run, outcomes
 
 STARTED_MS = 1_700_000_000_000
@@ -224,7 +224,7 @@ def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, u
 def _send(directory: RunDirectory, look: Look, store: Store) -> None:
     """Send a run directory to the store, then give it there what a training would not."""
     with directory.training_lock() if look.status == "running" else nullcontext():
-        mirror(directory, store)
+        sync_run(directory, store)
     assert directory.run_id is not None
     for key, value in look.tags.items():
         if value is None:

@@ -17,18 +17,18 @@ from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import MetricsLog, copy_logs
 from parking_exp.tracking.client import ENVIRONMENT
-from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
+from parking_exp.tracking.sync import sync_run
 
 KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
-WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/mirror.py", "parking_exp/tracking/stored_run.py", "parking_exp/runs/atomic_files.py",
+WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/sync.py", "parking_exp/tracking/write_run.py", "parking_exp/tracking/embedded_store.py", "parking_exp/tracking/stored_run.py", "parking_exp/runs/atomic_files.py",
            "parking_exp/runs/directory.py", "mlflow/tracking/client.py", "mlflow/store/tracking/sqlalchemy_store.py",
            "mlflow/store/artifact/local_artifact_repo.py")  # fmt: skip
 
 
 def sync(directory):
     """Sync with the store that the run was tracked in."""
-    mirror(directory, Store(directory.tracking_uri, directory.output_dir))
+    sync_run(directory, Store(directory.tracking_uri, directory.output_dir))
 
 
 def grow(directory, rows, checkpoint=True):

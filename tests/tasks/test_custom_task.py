@@ -12,9 +12,9 @@ from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.results import load
+from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import get_state, make_training_envs, set_state
-from parking_exp.training.train_run import train
 
 OPTION = """\
 # @package _global_

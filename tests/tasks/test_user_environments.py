@@ -13,11 +13,11 @@ from parking_exp.algorithms.build_model import build_model
 from parking_exp.errors import ConfigError, FailedRunError, VideoError
 from parking_exp.evaluation.video import record_video
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training.loop import derive_seeds
-from parking_exp.training.train_run import train
 
 PLANE = "support.plane_tasks:"
 SHORT = (

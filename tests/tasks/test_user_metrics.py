@@ -13,9 +13,9 @@ from parking_exp.errors import ConfigError, UntrustedError
 from parking_exp.evaluation.agents import load_model
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.results import load, read_export
+from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.custom_config import CustomConfig
 from parking_exp.tasks.registry import make_task
-from parking_exp.training.train_run import train
 
 OWN = "support.user_metrics"
 BOTH = f"env.metrics=[{OWN}.centred,{OWN}.last_speed]"

@@ -15,8 +15,8 @@ from parking_exp.errors import StoreError
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import write_summary
-from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
+from parking_exp.tracking.sync import sync_problem
 
 
 def stored_files(directory):
@@ -82,7 +82,7 @@ def test_a_run_whose_damaged_file_is_restored_or_deleted_is_whole_again(finished
     content = path.read_bytes()
     for mend in (lambda: path.write_bytes(content), path.unlink):
         half(path)
-        problem = mirror_problem(
+        problem = sync_problem(
             [finished], Store(default_uri(finished.output_dir), finished.output_dir)
         )
         assert "metrics.jsonl changed after the run was finished" in problem

@@ -17,9 +17,9 @@ from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.tracking.mirror import mirror, mirror_missing
+from parking_exp.sweeps.single_run import train
 from parking_exp.tracking.store import Store
-from parking_exp.training.train_run import train
+from parking_exp.tracking.sync import sync_missing, sync_run
 
 EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 
@@ -34,7 +34,7 @@ def snapshot(folder):
 
 
 def sync(directory, uri):
-    mirror(directory, Store(uri, directory.output_dir))
+    sync_run(directory, Store(uri, directory.output_dir))
 
 
 def evaluated(directory):
@@ -209,7 +209,7 @@ def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_di
     shutil.move(output_dir / "mlflow.db", tmp_path / "elsewhere.db")
     (output_dir / "mlflow.db").symlink_to(tmp_path / "elsewhere.db")
     before = (tmp_path / "elsewhere.db").read_bytes()
-    ((_, problem),) = mirror_missing([directory], Store(default_uri(output_dir), output_dir))
+    ((_, problem),) = sync_missing([directory], Store(default_uri(output_dir), output_dir))
     assert f"{output_dir / 'mlflow.db'} is a symbolic link" in problem
     with pytest.raises(ParkingError, match="is a symbolic link"):
         load("smoke", output_dir=output_dir)

@@ -19,7 +19,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import StoreError
 from parking_exp.results.frames import load
 from parking_exp.tracking.client import connect, import_mlflow
-from parking_exp.tracking.mirror import prepare
+from parking_exp.tracking.embedded_store import prepare
 from parking_exp.tracking.store import Store
 
 

@@ -4,7 +4,7 @@ import pytest
 from support.runs import make_config
 
 from parking_exp.errors import ConfigError
-from parking_exp.training.train_run import train
+from parking_exp.sweeps.single_run import train
 
 COUNTS = "support.user_callbacks.CountsRollouts"
 

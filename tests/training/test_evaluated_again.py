@@ -10,7 +10,7 @@ from support.sweep_processes import sweep
 
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
-from parking_exp.training.train_run import train
+from parking_exp.sweeps.single_run import train
 
 SMOKE = ("experiment=smoke", "total_timesteps=100", "tracking.tensorboard=false")
 OTHER = (

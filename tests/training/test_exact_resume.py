@@ -9,7 +9,7 @@ import pytest
 from support.run_equality import differences, stored
 from support.runs import assert_store_is_whole, make_config, only_run, run_script, script
 
-from parking_exp.training.train_run import train
+from parking_exp.sweeps.single_run import train
 
 pytestmark = pytest.mark.slow
 

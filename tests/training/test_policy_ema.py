@@ -7,8 +7,8 @@ from support.runs import make_config, only_run
 
 from parking_exp.algorithms.model_files import read_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
+from parking_exp.sweeps.single_run import train
 from parking_exp.training import checkpoints
-from parking_exp.training.train_run import train
 
 SMOKE = (
     "experiment=smoke",

@@ -17,10 +17,10 @@ from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record_video
+from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import checkpoints, finish, loop, rollout_state
 from parking_exp.training.loop import RolloutCallback, TrainingLoop
-from parking_exp.training.train_run import train
 
 SMOKE = ("experiment=smoke", "total_timesteps=160", "evaluation.every_n_steps=60", "checkpoint.every_n_steps=50",
          "evaluation.n_scenes=1", "evaluation.final_n_scenes=2", "evaluation.video_episodes=0", "env.duration=2",

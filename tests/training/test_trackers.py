@@ -7,8 +7,8 @@ from support.runs import make_config, run_script
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, UntrustedError
+from parking_exp.sweeps.single_run import train
 from parking_exp.training import loop
-from parking_exp.training.train_run import train
 
 WRITES = "support.user_trackers.WritesJson"
 SHORT = ("experiment=smoke", "total_timesteps=200", "tracking.mlflow=false", "evaluation.video_episodes=0")  # fmt: skip

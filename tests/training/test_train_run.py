@@ -32,6 +32,7 @@ from parking_exp.algorithms.model_files import load_weights
 from parking_exp.errors import ConfigError, FailedRunError, RunLockedError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.sweeps.single_run import train, ui_command
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.reward import ParkingReward
@@ -39,7 +40,6 @@ from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import certified_seeds
-from parking_exp.training.train_run import train, ui_command
 
 STEPS = [100, 200, 300, 400]
 

@@ -32,17 +32,17 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import provenance_tags
 from parking_exp.tracking.client import connect
-from parking_exp.tracking.mirror import mirror_missing, sync_hint, try_mirror
-from parking_exp.tracking.run_mirror import RunMirror
 from parking_exp.tracking.store import Store
+from parking_exp.tracking.store_writer import StoreWriter
+from parking_exp.tracking.sync import sync_hint, sync_missing, try_sync
 
 
-def mirror_all(output_dir, uri=None):
-    """Mirror what a store lacks of an output directory; what was in the way of each run."""
+def sync_all(output_dir, uri=None):
+    """Sync what a store lacks of an output directory; what was in the way of each run."""
     directories = [RunDirectory(path) for path in find_runs(output_dir)]
     return [
         problem
-        for _, problem in mirror_missing(
+        for _, problem in sync_missing(
             directories, Store(uri or default_uri(output_dir), output_dir)
         )
     ]
@@ -80,7 +80,7 @@ def stored_run(directory):
     return store(directory.output_dir).get_run(directory.run_id)
 
 
-def assert_mirrored(*directories):
+def assert_synced(*directories):
     """The store has these finished runs, each number once, and no other run."""
     output_dir = directories[0].output_dir
     assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [
@@ -119,14 +119,14 @@ def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arri
         ("Default",),
         ("smoke",),
     ]
-    assert_mirrored(*directories)
+    assert_synced(*directories)
     for directory in directories:
         stored = artifacts(store(fresh_dir), directory.run_id, "checkpoint")
         assert stored == ["checkpoint/model.zip"]
 
 
 @pytest.mark.slow
-def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_dir):
+def test_a_sync_that_is_killed_anywhere_is_completed_by_the_next_one(output_dir):
     first, *directories = [written_run(output_dir, seed) for seed in range(11)]
     for directory in (first, *directories):
         grow(directory, rows=400)  # more than one batch
@@ -134,10 +134,10 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
     calls, *endings = map(int, processes("kill", [first, *directories]).stdout.split())
     assert calls > 200
     assert endings == [-9] * 10
-    assert mirror_all(output_dir) == [None] * 10
-    assert mirror_all(output_dir) == []
+    assert sync_all(output_dir) == [None] * 10
+    assert sync_all(output_dir) == []
     client = store(output_dir)
-    assert_mirrored(first, *directories)
+    assert_synced(first, *directories)
     for directory in directories:
         run = client.get_run(directory.run_id)
         assert run.data.params == stored_params(directory.config())
@@ -145,14 +145,14 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
         assert artifacts(client, directory.run_id) == artifacts(client, first.run_id)
 
 
-def test_mirroring_again_changes_nothing_even_if_files_were_deleted_from_the_run_directory(
+def test_a_second_sync_changes_nothing_even_if_files_were_deleted_from_the_run_directory(
     output_dir,
 ):
     directory = finished_run(output_dir)
     sync(directory)
     before, status = content(output_dir), directory.read_status()
     sync(directory)
-    assert mirror_all(output_dir) == []
+    assert sync_all(output_dir) == []
     assert content(output_dir) == before
     assert directory.read_status() == status
     points, names = (
@@ -161,7 +161,7 @@ def test_mirroring_again_changes_nothing_even_if_files_were_deleted_from_the_run
     )
     shutil.rmtree(directory.checkpoints)
     (directory.path / "metrics.jsonl").unlink()
-    assert mirror_all(output_dir) == [None]
+    assert sync_all(output_dir) == [None]
     assert directory.run_id == status["run_id"]
     assert stored_points(output_dir, directory.run_id) == points
     assert artifacts(store(output_dir), directory.run_id) == names
@@ -177,22 +177,22 @@ def test_a_lost_or_older_store_is_filled_again_even_after_another_run_was_sent_t
     grow(first, rows=5)
     finish(first)
     directories = [first, finished_run(output_dir, seed=1), finished_run(output_dir, seed=2)]
-    assert mirror_all(output_dir) == [None] * 3
+    assert sync_all(output_dir) == [None] * 3
     for database in (empty / "mlflow.db", tmp_path / "mlflow.db"):
         shutil.copy(database, output_dir)
         sync(directories[2])
-        assert mirror_all(output_dir) == [None] * 2
-        assert mirror_all(output_dir) == []
-        assert_mirrored(*directories)
+        assert sync_all(output_dir) == [None] * 2
+        assert sync_all(output_dir) == []
+        assert_synced(*directories)
 
 
-def test_a_killed_run_is_mirrored_up_to_its_last_checkpoint_and_whole_once_resumed(output_dir):
+def test_a_killed_run_is_synced_up_to_its_last_checkpoint_and_whole_once_resumed(output_dir):
     directory = written_run(output_dir)
     grow(directory, rows=20)
     grow(directory, rows=7, checkpoint=False)
     with directory.training_lock():
-        assert mirror_all(output_dir) == []  # it mirrors itself while it trains
-    assert mirror_all(output_dir) == [None]
+        assert sync_all(output_dir) == []  # it is synced while it trains
+    assert sync_all(output_dir) == [None]
     run, run_id = stored_run(directory), directory.run_id
     assert stored_points(output_dir, run_id) == local_points(directory, up_to=20)
     assert (run.info.status, run.data.tags["status"], directory.status) == (
@@ -200,7 +200,7 @@ def test_a_killed_run_is_mirrored_up_to_its_last_checkpoint_and_whole_once_resum
         "interrupted",
         "running",
     )
-    assert mirror_all(output_dir) == []
+    assert sync_all(output_dir) == []
 
     restore_logs(directory.path, directory.checkpoints / "step=0000000020")
     time.sleep(0.002)  # the same steps come at another time
@@ -263,7 +263,7 @@ def test_what_a_user_logs_tags_or_deletes_in_the_store_stays(output_dir):
     assert history(client, run_id, "my/note") == [(99, 1.0)]
     assert client.get_run(run_id).data.tags["starred"] == "yes"
     client.delete_run(run_id)
-    assert mirror_all(output_dir) == []
+    assert sync_all(output_dir) == []
     assert directory.run_id == run_id
 
 
@@ -285,17 +285,41 @@ def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
     blocked.touch()  # a file where the database's folder is to be
     uri = f"sqlite:///{blocked / 'mlflow.db'}"
     directory, messages = written_run(fresh_dir, uri=uri), []
-    run_mirror = RunMirror(uri, directory, messages.append)
-    run_mirror.send()
+    writer = StoreWriter([directory.config()], messages.append)
+    writer.sync_in_training(directory)
     problem = f"[Errno 17] File exists: '{blocked}'"
-    assert run_mirror.problem == problem
-    assert problem in messages[0]
-    assert sync_hint(fresh_dir, uri) in messages[0]
+    assert writer.problems == {directory.path: problem}
+    assert messages == [
+        f"the store {uri} is incomplete ({problem}); training continues, and "
+        f"{sync_hint(fresh_dir, uri)}"
+    ]
     blocked.unlink()
-    run_mirror.send_checkpoint()
-    assert run_mirror.problem == problem
-    run_mirror.send()
-    assert run_mirror.problem is None
+    writer.sync_in_training(directory)
+    assert writer.problems == {directory.path: problem}
+    directory.update(status="interrupted")
+    writer.sync_in_training(directory)
+    assert writer.problems == {}
+    assert messages[1:] == ["the store is complete again"]
+
+
+def test_a_failing_store_is_named_once_and_said_to_be_complete_when_it_has_all_runs(fresh_dir):
+    blocked = fresh_dir / "blocked"
+    blocked.touch()
+    uri = f"sqlite:///{blocked / 'mlflow.db'}"
+    directories = [written_run(fresh_dir, seed, uri) for seed in range(2)]
+    messages = []
+    writer = StoreWriter([directory.config() for directory in directories], messages.append)
+
+    for directory in directories:
+        writer.sync(directory)
+    assert [*writer.problems] == [directory.path for directory in directories]
+    assert len(messages) == 1
+    blocked.unlink()
+    writer.sync(directories[0])
+    assert [*writer.problems] == [directories[1].path]
+    assert len(messages) == 1
+    writer.sync(directories[1])
+
     assert messages[1:] == ["the store is complete again"]
 
 
@@ -304,8 +328,8 @@ def test_a_store_that_fails_in_the_middle_is_completed(output_dir):
     change_store = "CREATE TRIGGER full BEFORE INSERT ON metrics BEGIN SELECT RAISE(ABORT, 'disk is full'); END"
     for statement, problem in ((change_store, "disk is full"), ("DROP TRIGGER full", None)):
         rows(output_dir, statement)
-        assert mirror_all(output_dir) == [problem]
-    assert_mirrored(directory)
+        assert sync_all(output_dir) == [problem]
+    assert_synced(directory)
 
 
 @pytest.mark.slow
@@ -319,10 +343,10 @@ def test_a_run_whose_store_is_down_finishes_and_is_sent_later(tmp_path):
     assert done.stderr.count(problem) == 1
     assert "Traceback" not in done.stderr
     blocked.rmdir()
-    assert mirror_all(tmp_path) == []  # a new store has all runs
+    assert sync_all(tmp_path) == []  # a new store has all runs
     assert directory.result().run_id == directory.run_id is not None
     assert_store_is_whole(tmp_path, 400)
-    assert_mirrored(directory)
+    assert_synced(directory)
 
 
 @needs_server
@@ -332,9 +356,9 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         directory = written_run(tmp_path, uri=uri)
         grow(directory, rows=400)
         finish(directory)
-        assert try_mirror(directory, Store(uri, tmp_path)) == "[Errno 111] Connection refused"
+        assert try_sync(directory, Store(uri, tmp_path)) == "[Errno 111] Connection refused"
     with mlflow_server(port, tmp_path):
-        assert mirror_all(tmp_path, uri) == [None]
+        assert sync_all(tmp_path, uri) == [None]
         grow(directory, rows=5)
         finish(directory)
         sync(directory)

@@ -1,0 +1,113 @@
+"""Train a single run in this process, which also writes its store."""
+
+import shlex
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from parking_exp.config.paths import default_uri
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import validate
+from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.run_provenance import command_line
+from parking_exp.terminal import is_script, say, unfailing_output
+from parking_exp.tracking.store_writer import StoreWriter
+from parking_exp.tracking.sync import follow_store, sync_hint
+from parking_exp.training.signals import stop_on_signal
+from parking_exp.training.train_run import check_device, train_run
+
+
+def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
+    """Train, evaluate and track one run, or resume it from its latest whole checkpoint.
+
+    A run that is done returns its stored result.
+
+    Raises:
+        ConfigError: the config cannot run; nothing is on disk.
+        OutputDirectoryError: the run directory can't be written.
+        RunLockedError: another process is working on the same run.
+        InterruptedRunError: SIGINT or SIGTERM; the state is saved.
+        FailedRunError: anything else; the run is marked failed, its traceback kept.
+    """
+    with unfailing_output():
+        return _train(validate(config))
+
+
+def _train(config: RunConfig) -> RunResult:
+    directory = RunDirectory(config.run_dir)
+    writer = StoreWriter([config], partial(say, stderr=True))
+    if directory.result() is None or directory.needs_evaluation(config):
+        check_device(config.device)
+    with directory.supervisor_lock(), directory.training_lock():
+        reason = _reason_to_keep(directory, config)
+        if reason is None:
+            _begin(directory, config)
+            with stop_on_signal() as stop:
+                lines = train_run(config, directory, stop, writer.sync_in_training)
+        else:
+            lines = [reason]
+            if follow_store(directory, config):
+                writer.sync(directory)
+        result = directory.result()
+    assert result is not None
+    say(*lines, *_closing_lines(result, directory, writer))
+    return result
+
+
+def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
+    """Return why the result of a run is kept; None if there is none, or it is evaluated again."""
+    if directory.result() is None:
+        return None
+    if not directory.needs_evaluation(config):
+        return "already done; to train it again, change the seed or delete its directory"
+    problem = directory.evaluation_problem()
+    return None if problem is None else f"already done; {problem}"
+
+
+def _begin(directory: RunDirectory, config: RunConfig) -> None:
+    """Write what a sweep would plan, and that this process trains the run."""
+    if directory.result() is not None:
+        say("already trained; its final model is evaluated again, with other settings")
+        directory.reopen()
+    directory.create(config)
+    directory.begin()
+    directory.update(
+        total_timesteps=config.total_timesteps,
+        tracking_uri=config.store_uri if config.tracking.mlflow else None,
+    )
+    command = command_line()
+    if command is not None:
+        directory.update(command=command)
+    if config.label is not None:
+        directory.update(label=config.label)
+
+
+def _closing_lines(result: RunResult, directory: RunDirectory, writer: StoreWriter) -> list[str]:
+    """Return lines about a finished run: its success, and where it is."""
+    lines = []
+    rate = result.metrics.get("final/success_rate")
+    if rate is not None:
+        lines.append(f"final success rate {rate:.1%}, after {result.steps} env steps")
+    lines.append(f"run directory  {result.run_dir}")
+    uri = directory.tracking_uri or ""
+    if result.run_id:
+        lines.append(f"MLflow run     {result.run_id}   ({ui_command(uri)})")
+    problem = writer.problems.get(directory.path)
+    if problem is not None:
+        hint = sync_hint(directory.output_dir, uri)
+        lines.append(f"not all of it is in the store ({problem}); {hint}")
+    return lines
+
+
+def ui_command(uri: str) -> str:
+    """Return the command that shows a store in MLflow's UI; a tracking server is its own."""
+    if not uri.startswith("sqlite"):
+        return uri
+    if not is_script():
+        return f"mlflow ui --workers 1 --backend-store-uri {shlex.quote(uri)}"
+    if uri == default_uri(Path("outputs").absolute()):
+        return "make ui"
+    return f"make ui STORE={shlex.quote(uri)}"

@@ -1,0 +1,59 @@
+"""Sync the runs of a sweep while their workers train, which write run directories only."""
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.tracking.store_writer import Moment, StoreWriter, moment_of
+
+POLL_S = 1.0
+PAUSE_S = 60.0  # after a failure of the store: an attempt could take minutes
+
+
+@contextmanager
+def syncing(find: Callable[[], Sequence[Path]], writer: StoreWriter) -> Iterator[None]:
+    """Sync runs in a thread as they save checkpoints and end; at last, sync all that is missing.
+
+    Args:
+        find: returns the run directories that exist now.
+        writer: of their stores.
+    """
+    if not writer.stores:
+        yield
+        return
+    synced = {path: moment_of(RunDirectory(path)) for path in find()}
+    is_over = threading.Event()
+    thread = threading.Thread(target=_watch, args=(find, writer, synced, is_over), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()
+        writer.sync_missing([RunDirectory(path) for path in find()])
+
+
+def _watch(
+    find: Callable[[], Sequence[Path]],
+    writer: StoreWriter,
+    synced: dict[Path, Moment],
+    is_over: threading.Event,
+) -> None:
+    """Sync the runs that have a new checkpoint or have ended, until it is over."""
+    while not is_over.wait(POLL_S):
+        for path in find():
+            if is_over.is_set():
+                return
+            directory = RunDirectory(path)
+            moment = moment_of(directory)
+            if moment == synced.get(path):
+                continue
+            status, checkpoint = moment
+            if checkpoint is not None or status not in ("pending", "running"):
+                writer.sync(directory)
+            if path in writer.problems:
+                is_over.wait(PAUSE_S)
+            else:
+                synced[path] = moment

@@ -1,0 +1,79 @@
+"""Write runs to their stores while they train; a store that fails stops no training."""
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from parking_exp.config.schema import RunConfig
+from parking_exp.runs.directory import RunDirectory, Status
+from parking_exp.tracking.client import reason
+from parking_exp.tracking.store import Store
+from parking_exp.tracking.sync import sync_hint, sync_problem, sync_run
+
+Moment = tuple[Status, str | None]
+"""Status of a run, and the name of its newest checkpoint."""
+
+
+class StoreWriter:
+    """Writes runs to their stores, in the process that the user started.
+
+    Args:
+        configs: of the runs, or of some that have the same stores.
+        say: shows a line.
+
+    Attributes:
+        stores: of the runs.
+        problems: of the runs whose last sync failed, with the reasons.
+    """
+
+    def __init__(self, configs: Iterable[RunConfig], say: Callable[[str], None]) -> None:
+        self.problems: dict[Path, str] = {}
+        self._say = say
+        tracked = [config for config in configs if config.tracking.mlflow]
+        output_dirs = {config.store_uri: config.output_path for config in tracked}
+        self.stores = [Store(uri, output_dir) for uri, output_dir in output_dirs.items()]
+
+    def sync(self, directory: RunDirectory) -> None:
+        """Make the store of a run agree with it, and say if that fails for the first time."""
+        for store in self.stores:
+            if store.tracks(directory):
+                self._sync(directory, store)
+
+    def sync_in_training(self, directory: RunDirectory) -> None:
+        """Sync a run that waits for it: after a failure at its end only, as it may take minutes."""
+        if not self.problems or directory.status != "running":
+            self.sync(directory)
+
+    def _sync(self, directory: RunDirectory, store: Store) -> None:
+        before = moment_of(directory)
+        had_problems = bool(self.problems)
+        try:
+            sync_run(directory, store)
+        except Exception as error:
+            if moment_of(directory) != before:  # it went on, and its files with it
+                return
+            problem = reason(error)
+            self.problems[directory.path] = problem
+            if not had_problems:
+                hint = sync_hint(directory.output_dir, store.uri)
+                self._say(
+                    f"the store {store.uri} is incomplete ({problem}); training continues, and "
+                    f"{hint}"
+                )
+            return
+        self.problems.pop(directory.path, None)
+        if had_problems and not self.problems:
+            self._say("the store is complete again")
+
+    def sync_missing(self, directories: Sequence[RunDirectory]) -> None:
+        """Sync what the stores lack of some runs, and say if they still lack some."""
+        for store in self.stores:
+            problem = sync_problem(directories, store)
+            if problem is not None:
+                self._say(problem)
+
+
+def moment_of(directory: RunDirectory) -> Moment:
+    """Return where a run is: it changes whenever there is something to sync."""
+    checkpoints = sorted(folder.name for folder in directory.checkpoints.glob("step=*"))
+    newest = checkpoints[-1] if checkpoints else None
+    return directory.status, newest

@@ -1,0 +1,164 @@
+"""Make MLflow stores agree with run directories: one run, or all that a store lacks."""
+
+import shlex
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from filelock import FileLock
+
+from parking_exp.config.paths import default_uri, is_same_store, resolved
+from parking_exp.config.schema import RunConfig
+from parking_exp.errors import StoreError, plural
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.output_identity import output_id
+from parking_exp.runs.run_files import STATUS_FILE
+from parking_exp.terminal import program
+from parking_exp.tracking.client import reason
+from parking_exp.tracking.embedded_store import prepare
+from parking_exp.tracking.store import Store
+from parking_exp.tracking.stored_run import (
+    DIGEST,
+    OUTPUT_ID,
+    digest_in_store,
+    files_in_store,
+    status_in_store,
+)
+from parking_exp.tracking.write_run import write_run
+
+if TYPE_CHECKING:
+    from mlflow.entities import Run
+
+WAIT_S = 120  # for another process that syncs the same run
+
+
+def sync_run(directory: RunDirectory, store: Store) -> None:
+    """Make a store agree with a run directory; idempotent."""
+    prepare(store)
+    with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
+        write_run(directory, store)
+
+
+def try_sync(directory: RunDirectory, store: Store) -> str | None:
+    """Sync as far as the store allows; return the reason of a failure, or None.
+
+    A failure stops no training, since the run directory has everything.
+    """
+    try:
+        sync_run(directory, store)
+    except Exception as error:
+        return reason(error)
+    return None
+
+
+def follow_store(directory: RunDirectory, config: RunConfig) -> bool:
+    """Make a finished run one of the store that a command names; return whether it was tracked
+    elsewhere.
+    """
+    if not config.tracking.mlflow or directory.status != "done":
+        return False
+    tracked_in = directory.tracking_uri
+    if tracked_in is not None and (
+        config.tracking.uri is None or is_same_store(tracked_in, config.store_uri)
+    ):
+        return False
+    directory.update(tracking_uri=config.store_uri)
+    return True
+
+
+def sync_missing(
+    directories: Iterable[RunDirectory], store: Store
+) -> Iterator[tuple[RunDirectory, str | None]]:
+    """Sync the runs that a store lacks or has an older state of, found by one search.
+
+    Runs under way are skipped. The store that a run directory names is not connected to: it may
+    come from elsewhere.
+
+    Yields:
+        Each run that the store lacked, and what kept it from being synced now, or None.
+    """
+    directories = list(directories)
+    for directory in directories:
+        if directory.is_status_damaged:
+            problem = f"{STATUS_FILE} can't be read; restore it, or rerun the command of the run"
+            yield directory, problem
+    tracked = [directory for directory in directories if store.tracks(directory)]
+    idle = [directory for directory in tracked if not directory.is_locked]
+    if not idle:
+        return
+    try:
+        synced = _digests(idle, store)
+    except Exception as error:
+        problem = reason(error)
+        yield from ((directory, problem) for directory in idle)
+        return
+    for directory in idle:
+        status = status_in_store(directory)
+        files = files_in_store(directory, status)
+        run = synced.get((resolved(directory.path), digest_in_store(directory, status, files)))
+        if run is None or not store.has_artifacts(run, files):
+            yield directory, try_sync(directory, store)
+
+
+def sync_problem(directories: Iterable[RunDirectory], store: Store) -> str | None:
+    """Sync what a store lacks of some runs; return a sentence if it still lacks some, with the
+    command to run.
+    """
+    problems = [item for item in sync_missing(directories, store) if item[1] is not None]
+    if not problems:
+        return None
+    directory, problem = problems[0]
+    incomplete = f"files and store differ for {plural(len(problems), 'run')}, e.g. {directory.path}"
+    return f"{incomplete}: {problem}; {sync_hint(directory.output_dir, store.uri)}"
+
+
+def sync_hint(output_dir: Path, uri: str) -> str:
+    """Return the command that sends what a store lacks."""
+    words = [*program("status").split(), "sync=true"]
+    if output_dir != Path("outputs").absolute():
+        words.append(f"output_dir={output_dir}")
+    if uri != default_uri(output_dir):
+        words.append(f"tracking.uri={uri}")
+    return f"`{shlex.join(words)}` sends what is missing"
+
+
+def delete_stored(directory: RunDirectory, store: Store) -> None:
+    """Mark what a store has of a directory as deleted.
+
+    Raises:
+        StoreError: the store fails.
+    """
+    try:
+        prepare(store)
+        own_id = None if store.is_own else output_id(directory.output_dir)
+        for run in _runs_of_experiments([directory], store):
+            run_dir = store.run_dir(run)
+            is_same = run_dir is not None and resolved(run_dir) == resolved(directory.path)
+            is_own = run.data.tags.get(OUTPUT_ID) == own_id
+            if is_same and is_own and run.info.lifecycle_stage != "deleted":
+                with store.writing() as client:
+                    client.delete_run(run.info.run_id)
+    except Exception as error:
+        raise StoreError(
+            f"{directory.path} is kept, since the store {store.uri} fails: {reason(error)}"
+        ) from error
+
+
+def _digests(
+    directories: Iterable[RunDirectory], store: Store
+) -> "dict[tuple[Path, str | None], Run]":
+    """Return the store's runs of the experiments of some directories, by directory and digest."""
+    prepare(store)
+    runs = {}
+    for run in _runs_of_experiments(directories, store):
+        run_dir = store.run_dir(run)
+        if run_dir is not None:
+            runs[resolved(run_dir), run.data.tags.get(DIGEST)] = run
+    return runs
+
+
+def _runs_of_experiments(directories: Iterable[RunDirectory], store: Store) -> "list[Run]":
+    """Return all runs that a store has of the experiments of some directories."""
+    ids = store.experiments()
+    names = {directory.path.parents[1].name for directory in directories}
+    return store.runs(ids[name] for name in names if name in ids)

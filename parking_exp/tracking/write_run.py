@@ -1,0 +1,191 @@
+"""Write a run directory into an MLflow store; the directory is the truth, and the store its index.
+
+A directory may be in any state that a kill can leave it in. The tag `mirrored` of a stored run is a
+digest of the files that the store has; it and the tag `status` are written last, so that a run is
+`done` in the store once all of it is there. Metrics are written as soon as they are final: up to
+the last checkpoint, from which an interrupted run resumes, and all of them when the run is done.
+Files of a finished run that have changed since are not written.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from parking_exp.config.cell_labels import setting_text, settings_of
+from parking_exp.config.paths import resolved
+from parking_exp.errors import StoreError
+from parking_exp.runs.atomic_files import read_file
+from parking_exp.runs.directory import RunDirectory, Status
+from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
+from parking_exp.runs.run_files import CONFIG_FILE
+from parking_exp.tracking.store import Store
+from parking_exp.tracking.stored_run import (
+    DIGEST,
+    OUTPUT_ID,
+    STARTED,
+    STATUS,
+    RunSnapshot,
+    take_snapshot,
+)
+
+if TYPE_CHECKING:
+    from mlflow.entities import Metric, Run
+
+MAX_PARAM_LENGTH = 6000  # MLflow refuses longer values; the whole config is also an artifact
+MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
+
+
+def write_run(directory: RunDirectory, store: Store) -> None:
+    """Write what a store lacks of a run directory; idempotent."""
+    _refuse_damage(directory)
+    snapshot = take_snapshot(directory, store)
+    tags = snapshot.tags
+    experiment_id = store.experiment_id(snapshot.config)
+    run, earlier = _find(directory, store, experiment_id, tags)
+    if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
+        return  # its results stay until that is done
+    for each in earlier:
+        with store.writing() as client:
+            client.delete_run(each.info.run_id)  # it can be restored in MLflow's UI
+
+    if run is None:
+        first_tags = {**tags, STATUS: "running"}
+        run = _create(store, experiment_id, first_tags, snapshot.first_name)
+    _record_id(directory, run, store.uri)
+    is_same = run.data.tags.get(DIGEST) == snapshot.digest
+    is_here = run.data.tags.get("run_dir") == tags["run_dir"]
+    if is_same and is_here and store.has_artifacts(run, snapshot.files):
+        return
+
+    _refuse_unverifiable(directory, run, snapshot.status)
+    _write_content(store, run, snapshot)
+    # What MLflow's UI shows first of a run. A name that a user gave it stays.
+    if run.info.run_name == snapshot.first_name != snapshot.last_name:
+        with store.writing() as client:
+            client.update_run(run.info.run_id, name=snapshot.last_name)
+    store.log(run, {}, snapshot.last_tags)
+
+
+def write_new_run(
+    directory: RunDirectory, store: Store, uri: str, experiment_ids: dict[str, str]
+) -> None:
+    """Write a run directory into a store that is being made, and has nothing of it.
+
+    Nobody reads such a store: its runs begin with their last tags and names.
+
+    Args:
+        directory: of the run.
+        store: that gets it.
+        uri: of the store, under the name that it is going to have.
+        experiment_ids: of the experiments that the store has; that of the run is added.
+    """
+    _refuse_damage(directory)
+    snapshot = take_snapshot(directory, store)
+    name = snapshot.config.experiment_name
+    if name not in experiment_ids:
+        experiment_ids[name] = store.experiment_id(snapshot.config)
+    all_tags = {**snapshot.tags, **snapshot.last_tags}
+    run = _create(store, experiment_ids[name], all_tags, snapshot.last_name)
+    _record_id(directory, run, uri)
+    _write_content(store, run, snapshot)
+
+
+def _refuse_damage(directory: RunDirectory) -> None:
+    """Raise for links that lead elsewhere, and for files that changed since they were finished."""
+    directory.check_links()
+    changed = directory.changed_files()
+    if changed:
+        raise StoreError(
+            f"{', '.join(changed)} changed after the run was finished; the store keeps what it "
+            "has. Restore the file, or delete it, and this warning goes"
+        )
+
+
+def _refuse_unverifiable(directory: RunDirectory, run: "Run", status: Status) -> None:
+    """Raise StoreError for a finished run that the store has, and whose change can't be checked."""
+    is_finished = status == "done" and run.data.tags.get(STATUS) == "done"
+    if is_finished and not directory.has_hashes:
+        raise StoreError(
+            "files changed, and result.json has no hashes to check them; the store keeps what it "
+            "has"
+        )
+
+
+def _create(store: Store, experiment_id: str, tags: Mapping[str, str], name: str) -> "Run":
+    start_ms = int(tags[STARTED]) if STARTED in tags else None
+    with store.writing() as client:
+        return client.create_run(experiment_id, start_ms, dict(tags), name)
+
+
+def _record_id(directory: RunDirectory, run: "Run", uri: str) -> None:
+    """Record which run of which store a run directory is."""
+    run_id = run.info.run_id
+    if directory.run_id != run_id or directory.tracking_uri != uri:
+        directory.update(run_id=run_id, tracking_uri=uri)
+
+
+def _write_content(store: Store, run: "Run", snapshot: RunSnapshot) -> None:
+    """Write the parameters, tags, metrics, files and MLflow's own status of a run."""
+    files = snapshot.files
+    params = {}
+    for key, value in settings_of(snapshot.config.plain()).items():
+        params[key] = setting_text(value)[:MAX_PARAM_LENGTH]
+    metrics = list(_new_metrics(run, files.get(METRICS_FILE)))
+    store.log(run, params, snapshot.tags, metrics)
+    for name, file in files.items():
+        store.put_artifact(run, name, read_file(file))
+
+    with store.writing() as client:
+        if snapshot.status == "running":
+            client.update_run(run.info.run_id, "RUNNING")
+            return
+        last = files.get(METRICS_FILE, files[CONFIG_FILE])
+        end_ms = last.stat().st_mtime_ns // 1_000_000
+        status = MLFLOW_STATUS.get(snapshot.status, "KILLED")
+        client.set_terminated(run.info.run_id, status, end_ms)
+
+
+def _new_metrics(run: "Run", log: Path | None) -> "Iterator[Metric]":
+    """Yield the points of a log of metrics that come after those that the store has."""
+    from mlflow.entities import Metric
+
+    latest = {metric.key: metric.step for metric in run.data.to_proto().metrics}
+    for record in read_metrics(log) if log else ():
+        for key, value in record["metrics"].items():
+            if record["step"] > latest.get(key, -1):
+                yield Metric(key, value, record["time_ms"], record["step"])
+
+
+def _find(
+    directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]
+) -> "tuple[Run | None, list[Run]]":
+    """Return the store's run of a directory, and those of earlier trainings or evaluations in it.
+
+    The id in status.json may have been copied, or written by anybody. A run of another directory is
+    taken only if that is gone: then it was moved here. A shared store has runs of other output
+    directories, some of which have the same path on another machine: their runs are left alone, and
+    so is what has no owner, unless it is this very training.
+    """
+    own_id = tags.get(OUTPUT_ID)  # None in the output directory's own store
+    found: Run | None = None
+    earlier = []
+    runs = store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'")
+    if not runs:  # or it was sent by an earlier version, whose keys were others
+        same_seed = store.search([experiment_id], f"tags.seed = '{tags['seed']}'")
+        runs = [run for run in same_seed if run.data.tags.get("run_dir") == tags["run_dir"]]
+    for run in runs:
+        run_dir = store.run_dir(run)
+        owner = run.data.tags.get(OUTPUT_ID)
+        if run_dir is None or run.info.lifecycle_stage == "deleted" or owner not in (None, own_id):
+            continue
+        if resolved(run_dir) != resolved(directory.path):
+            if run.info.run_id == directory.run_id and not run_dir.is_dir():
+                found = found or run
+        elif STARTED not in tags:
+            if owner == own_id:
+                found = found or run
+        elif run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]:
+            found = found or run
+        elif owner == own_id:
+            earlier.append(run)
+    return found, earlier
