@@ -9,7 +9,7 @@ update.*               updates/s, sampling included, against Stable-Baselines3's
                        3x256 with precision=medium
 update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer;
                        n1, n8: updates per round
-run.tutorial.ratio     env steps/s of the tutorial's recipe against plain Stable-Baselines3 +
+run.tutorial.ratio     env steps/s of Stable-Baselines3's example against plain Stable-Baselines3 +
                        highway-env
 run.fetch_reach.cost   CPU time per env step, updates included, of env=fetch_reach / of plain
                        Stable-Baselines3

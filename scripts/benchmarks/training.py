@@ -25,8 +25,9 @@ from parking_exp.tasks.training_envs import make_training_envs
 
 
 def tutorial(rounds: int, steps: int) -> dict[str, Any]:
-    """Compare training steps per second of the tutorial's recipe, over `steps` on each side after a
-    warm-up.
+    """Compare training steps per second of Stable-Baselines3's example.
+
+    Each side trains for `steps` after a warm-up.
     """
     options = ("experiment=tutorial", "torch_threads=1")
     config = compose(*options)
