@@ -13,7 +13,7 @@ from rich.console import Console
 
 from parking_exp.cli.command import rename_experiment, run_command
 from parking_exp.config.compose import compose_configs
-from parking_exp.config.paths import absolute, default_uri, is_same_store
+from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import Name
@@ -93,7 +93,7 @@ def _read_states(request: StatusRequest) -> list[RunState]:
 
 def _prune(request: StatusRequest) -> None:
     """Delete the directories of runs that never began, and mark them as deleted in the stores."""
-    stores = [Store(uri, request.output_path) for uri in _stores(request)]
+    stores = _stores(request)
     for path in find_runs(request.output_path, request.experiment_name):
         directory = RunDirectory(path)
         if directory.is_locked or not directory.never_began:
@@ -104,37 +104,36 @@ def _prune(request: StatusRequest) -> None:
 
 def _delete_stored(directory: RunDirectory, stores: list[Store]) -> None:
     """Mark a run as deleted in the store that it is tracked in, if that is among some stores."""
-    uri = directory.tracking_uri
-    if directory.run_id is None or uri is None:
-        return
     for store in stores:
-        if is_same_store(uri, store.uri):
+        if directory.run_id is not None and store.tracks(directory):
             delete_stored(directory, store)
 
 
-def _stores(request: StatusRequest) -> set[str]:
+def _stores(request: StatusRequest) -> list[Store]:
     """Return the stores of a request; those that a run directory names may come from elsewhere."""
-    uris = {default_uri(request.output_path)}
-    if request.tracking.uri:
-        uris.add(request.tracking.uri)
-    return uris
+    uris = [default_uri(request.output_path)]
+    if request.tracking.uri is not None:
+        uris.append(request.tracking.uri)
+    return [Store(uri, request.output_path) for uri in uris]
 
 
 def _sync(request: StatusRequest) -> None:
     """Send to the stores whatever they lack."""
-    directories = [
-        RunDirectory(path) for path in find_runs(request.output_path, request.experiment_name)
-    ]
-    uris = _stores(request)
-    for uri in {directory.tracking_uri for directory in directories}:
-        if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
-            say(
-                f"left out: runs that are tracked in {uri}; pass tracking.uri={uri} to send them",
-                stderr=True,
-            )
+    paths = find_runs(request.output_path, request.experiment_name)
+    directories = [RunDirectory(path) for path in paths]
+    stores = _stores(request)
+    others = set()
+    for directory in directories:
+        if not any(store.tracks(directory) for store in stores):
+            others.add(directory.tracking_uri)
+    for uri in others - {None}:
+        say(
+            f"left out: runs that are tracked in {uri}; pass tracking.uri={uri} to send them",
+            stderr=True,
+        )
     n_failed = 0
-    for uri in uris:
-        for directory, problem in sync_missing(directories, Store(uri, request.output_path)):
+    for store in stores:
+        for directory, problem in sync_missing(directories, store):
             say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
             n_failed += problem is not None
     if n_failed:

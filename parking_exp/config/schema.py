@@ -133,6 +133,10 @@ class EvaluationConfig(ConfigModel):
     first_scene: EpisodeSeed
     video_episodes: NonNegativeInt
 
+    def seeds(self, n_episodes: int) -> range:
+        """Return the seeds of the first of the fixed episodes."""
+        return range(self.first_scene, self.first_scene + n_episodes)
+
 
 class CheckpointConfig(ConfigModel):
     """Checkpoints of the whole training state."""

@@ -140,7 +140,7 @@ class RunDirectory:
             values["tracking_uri"] = relative(uri, self.output_dir)
         if values.get("status") in ENDS:
             (self.path / RESERVE).unlink(missing_ok=True)
-        # Several processes change entries: a training, its supervisor, a mirror.
+        # Several processes change entries: a training, its supervisor, a sync.
         with FileLock(self.path / STATUS_LOCK):
             changed = {**self.read_status(), **values}
             kept = {key: value for key, value in changed.items() if value is not None}

@@ -52,10 +52,9 @@ def import_mlflow() -> None:
     """Import mlflow, with what it reads from the environment at that time."""
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
+    # A user of a container may have no home, for which mlflow's import fails.
     if os.path.expanduser("~") == "~":  # noqa: PTH111 (the other way raises)
-        os.environ["HOME"] = (
-            "/nonexistent"  # a user of a container may have none, for which mlflow's import fails
-        )
+        os.environ["HOME"] = "/nonexistent"
     import mlflow  # noqa: F401
 
     for name in ("alembic", "mlflow"):
@@ -124,15 +123,15 @@ def lock_path(path: Path) -> Path:
 
 def reason(error: BaseException) -> str:
     """Return in one line why a store failed, in the words of the system or sqlite if possible."""
-    causes = [error]
-    while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
-        causes.append(cause)
-    if not isinstance(error, ParkingError):
-        error = next(
-            (cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)),
-            error,
-        )
-    return (one_line(error) or type(error).__name__)[:MAX_REASON_LENGTH]
+    reported = error
+    seen = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in seen:
+        seen.append(cause)
+        if isinstance(cause, OSError | sqlite3.Error) and not isinstance(error, ParkingError):
+            reported = cause
+        cause = cause.__cause__ or cause.__context__
+    return (one_line(reported) or type(reported).__name__)[:MAX_REASON_LENGTH]
 
 
 def _make_database(path: Path) -> None:
@@ -143,10 +142,8 @@ def _make_database(path: Path) -> None:
 
     new = path.with_name(f".{path.name}.new")
     leftovers = (new, Path(f"{new}-journal"))  # of a process that was killed
-    for file in (
-        *leftovers,
-        Path(f"{path}-journal"),
-    ):  # sqlite would apply an old journal to the new database
+    # Sqlite would apply an old journal to the new database.
+    for file in (*leftovers, Path(f"{path}-journal")):
         file.unlink(missing_ok=True)
     try:
         MlflowClient(f"{SQLITE}{new}").search_experiments(max_results=1)

@@ -10,7 +10,6 @@ import os
 import secrets
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.progress import track
 
@@ -21,20 +20,14 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import console, say
 from parking_exp.tracking.client import (
     OUTPUT_DIR_TAG,
-    import_mlflow,
     lock_path,
     no_garbage_collection,
-    open_client,
     reason,
     write_lock,
 )
-from parking_exp.tracking.store import Store
+from parking_exp.tracking.store import EXPERIMENTS, Store
 from parking_exp.tracking.write_run import write_new_run
 
-if TYPE_CHECKING:
-    from mlflow import MlflowClient
-
-EXPERIMENTS = 50_000  # in one request, MLflow's limit
 FEW_RUNS = 20  # are written in a second or two
 MOVE_IT = (
     "move it away, and the next command makes one from the run directories; "
@@ -106,9 +99,9 @@ def _is_usable(path: Path) -> bool:
     """
     if not path.exists():
         return False
-    import_mlflow()
+    store = Store(f"{SQLITE}{path}", None)
     try:
-        client = open_client(f"{SQLITE}{path}")
+        experiments = store.client.search_experiments(max_results=EXPERIMENTS)
     except Exception as error:
         text = reason(error)
         if "out-of-date database schema" in text:  # MLflow adds what an older one lacks
@@ -118,9 +111,10 @@ def _is_usable(path: Path) -> bool:
         if text.endswith("already exists"):  # as tables of interrupted migrations do
             return False
         raise
-    if _is_where_it_was_made(client, path.parent):
+    places = {experiment.tags.get(OUTPUT_DIR_TAG) for experiment in experiments}
+    if places <= {None, str(path.parent)}:  # it is where it was made
         return True
-    _refuse_content_of_others(client, path)
+    _refuse_content_of_others(store, path)
     return False
 
 
@@ -149,32 +143,15 @@ def _remove_unfinished(path: Path) -> None:
         leftover.unlink(missing_ok=True)
 
 
-def _is_where_it_was_made(client: "MlflowClient", output_dir: Path) -> bool:
-    """Return whether all experiments of this package have their artifacts in an output
-    directory.
-    """
-    experiments = client.search_experiments(max_results=EXPERIMENTS)
-    places = {experiment.tags.get(OUTPUT_DIR_TAG) for experiment in experiments}
-    return places <= {None, str(output_dir)}
-
-
-def _refuse_content_of_others(client: "MlflowClient", path: Path) -> None:
+def _refuse_content_of_others(store: Store, path: Path) -> None:
     """Raise StoreError if a store has runs that are not of the run directories beside it."""
     from mlflow.entities import ViewType
 
-    experiments = client.search_experiments(ViewType.ALL, max_results=EXPERIMENTS)
-    ids = [experiment.experiment_id for experiment in experiments]
-    token = None
-    while True:
-        page = client.search_runs(
-            ids, run_view_type=ViewType.ALL, max_results=10_000, page_token=token
-        )
-        for run in page:
-            run_dir = run.data.tags.get("run_dir")
-            if run_dir is None or Path(run_dir).is_absolute():
-                raise StoreError(
-                    f"{path} can't be used here, and has runs of others, e.g. {run.info.run_id}; "
-                    f"{MOVE_IT}"
-                )
-        if not (token := page.token):
-            return
+    experiments = store.client.search_experiments(ViewType.ALL, max_results=EXPERIMENTS)
+    for run in store.search([experiment.experiment_id for experiment in experiments]):
+        run_dir = run.data.tags.get("run_dir")
+        if run_dir is None or Path(run_dir).is_absolute():
+            raise StoreError(
+                f"{path} can't be used here, and has runs of others, e.g. {run.info.run_id}; "
+                f"{MOVE_IT}"
+            )

@@ -1,13 +1,13 @@
 """Read and write an MLflow store through its public client; many processes may write at a time."""
 
-import math
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from parking_exp.config.paths import (
     ARTIFACTS,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
-# MLflow's limits are 100 parameters, and 1,000 entries in all.
+# MLflow's limits are 100 parameters, 100 tags, and 1,000 entries in all.
 METRICS_PER_BATCH = 800
 PARAMS_PER_BATCH = 100
 RUNS_PER_PAGE = 10_000  # one request for most stores
@@ -45,10 +45,10 @@ class Store:
     def __init__(self, uri: str, output_dir: Path | None) -> None:
         self.uri = absolute(uri)
         self.is_checked = False  # whether it is known to be usable; see `prepare`
-        self._database = path = database(self.uri)
-        self._own_directory = (
-            output_dir if path and output_dir and path.is_relative_to(output_dir) else None
-        )
+        self._database = database(self.uri)
+        self._own_directory: Path | None = None
+        if self._database and output_dir and self._database.is_relative_to(output_dir):
+            self._own_directory = output_dir
         self._runs = dict[frozenset[str], "list[Run]"]()  # of `runs`
 
     @property
@@ -82,7 +82,8 @@ class Store:
         """Raise StoreError if its file is a link that leads out of the output directory that it is
         in.
         """
-        path, root = self._database, self._own_directory
+        path = self._database
+        root = self._own_directory
         if path and root and not lies_inside(path, root):
             raise StoreError(
                 f"{path} is a symbolic link that leads out of {root}; name the store with "
@@ -117,7 +118,8 @@ class Store:
         """
         from mlflow.entities import ViewType
 
-        runs, token = list["Run"](), None
+        runs: list[Run] = []
+        token = None
         while True:
             page = self.client.search_runs(
                 experiment_ids,
@@ -128,7 +130,8 @@ class Store:
                 token,
             )
             runs += page
-            if not (token := page.token):
+            token = page.token
+            if not token:
                 return runs
 
     def run_dir(self, run: "Run") -> Path | None:
@@ -142,9 +145,10 @@ class Store:
 
     def experiment_id(self, config: RunConfig) -> str:
         """Return the id of a run's experiment, which is made if need be."""
-        name, location = config.experiment_name, None
+        name = config.experiment_name
         # Else the UI shows traces and prompts of GenAI.
         tags = {"mlflow.experimentKind": "custom_model_development"}
+        location = None
         # A tracking server has its own place for artifacts; a database would put them into the
         # current directory.
         if not self.uri.startswith(("http", "databricks")):
@@ -185,18 +189,15 @@ class Store:
         changed = [
             RunTag(key, value) for key, value in tags.items() if run.data.tags.get(key) != value
         ]
-        n_batches = max(
-            math.ceil(len(missing) / PARAMS_PER_BATCH),
-            math.ceil(len(metrics) / METRICS_PER_BATCH),
-            1 if changed else 0,
+        batches = zip_longest(
+            _batches(metrics, METRICS_PER_BATCH),
+            _batches(missing, PARAMS_PER_BATCH),
+            _batches(changed, PARAMS_PER_BATCH),
+            fillvalue=(),
         )
-        for number in range(n_batches):
-            some_metrics = metrics[number * METRICS_PER_BATCH : (number + 1) * METRICS_PER_BATCH]
-            some_params = missing[number * PARAMS_PER_BATCH : (number + 1) * PARAMS_PER_BATCH]
+        for batch in batches:
             with self.writing() as client:
-                client.log_batch(
-                    run.info.run_id, some_metrics, some_params, changed if number == 0 else ()
-                )
+                client.log_batch(run.info.run_id, *batch)
 
     def has_artifacts(self, run: "Run", files: Mapping[str, Path]) -> bool:
         """Return whether a run has artifacts of these names and sizes, if they are files of this
@@ -217,7 +218,8 @@ class Store:
         """
         # MLflow's client caches folders by run id, whatever the store: a copied store would write
         # to the original's.
-        if (path := self._artifact_path(run.info.artifact_uri, name)) is not None:
+        path = self._artifact_path(run.info.artifact_uri, name)
+        if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, durable=False) as temporary:
                 temporary.write_bytes(content)
@@ -232,7 +234,8 @@ class Store:
         """Return the content of a run's artifact, None if it has none of that name; see
         `_artifact_path`.
         """
-        if (path := self._artifact_path(folder_uri, name)) is not None:
+        path = self._artifact_path(folder_uri, name)
+        if path is not None:
             return read_file(path) if path.exists() else None
         if not any(item.path == name for item in self.client.list_artifacts(run_id)):
             return None
@@ -246,9 +249,17 @@ class Store:
             StoreError: it is outside of the output directory whose store this is.
         """
         folder = local_folder(folder_uri)
-        if (root := self._own_directory) and not (folder and lies_inside(folder / name, root)):
+        path = folder / name if folder else None
+        root = self._own_directory
+        if root is not None and (path is None or not lies_inside(path, root)):
             raise StoreError(
                 f"this store keeps artifacts outside of {root}, in {folder_uri}; use another "
                 "experiment"
             )
-        return folder / name if folder else None
+        return path
+
+
+def _batches(entries: Sequence[Any], size: int) -> Iterator[Sequence[Any]]:
+    """Yield entries in batches of a size."""
+    for first in range(0, len(entries), size):
+        yield entries[first : first + size]

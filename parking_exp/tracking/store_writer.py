@@ -5,9 +5,8 @@ from pathlib import Path
 
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory, Status
-from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import sync_hint, sync_problem, sync_run
+from parking_exp.tracking.sync import sync_hint, sync_problem, try_sync
 
 Moment = tuple[Status, str | None]
 """Status of a run, and the name of its newest checkpoint."""
@@ -44,25 +43,20 @@ class StoreWriter:
             self.sync(directory)
 
     def _sync(self, directory: RunDirectory, store: Store) -> None:
-        before = moment_of(directory)
-        had_problems = bool(self.problems)
-        try:
-            sync_run(directory, store)
-        except Exception as error:
-            if moment_of(directory) != before:  # it went on, and its files with it
-                return
-            problem = reason(error)
-            self.problems[directory.path] = problem
-            if not had_problems:
+        moment = moment_of(directory)
+        problem = try_sync(directory, store)
+        if problem is None:
+            had_failed = self.problems.pop(directory.path, None)
+            if had_failed and not self.problems:
+                self._say("the store is complete again")
+        elif moment_of(directory) == moment:  # else it went on, and its files with it
+            if not self.problems:
                 hint = sync_hint(directory.output_dir, store.uri)
                 self._say(
                     f"the store {store.uri} is incomplete ({problem}); training continues, and "
                     f"{hint}"
                 )
-            return
-        self.problems.pop(directory.path, None)
-        if had_problems and not self.problems:
-            self._say("the store is complete again")
+            self.problems[directory.path] = problem
 
     def sync_missing(self, directories: Sequence[RunDirectory]) -> None:
         """Sync what the stores lack of some runs, and say if they still lack some."""

@@ -33,8 +33,8 @@ class RunSnapshot:
     Attributes:
         status: see `status_in_store`.
         files: see `files_in_store`.
-        digest: see `digest_in_store`.
-        tags: all but `last_tags`.
+        tags: see `tags_in_store`.
+        last_tags: those that are written once the store has everything else.
         first_name: of the run in MLflow's UI, until it is done.
         last_name: with its success rate, once it is done.
     """
@@ -42,15 +42,10 @@ class RunSnapshot:
     config: RunConfig
     status: Status
     files: Mapping[str, Path]
-    digest: str
     tags: Mapping[str, str]
+    last_tags: Mapping[str, str]
     first_name: str
     last_name: str
-
-    @property
-    def last_tags(self) -> dict[str, str]:
-        """Tags that are written once the store has everything else."""
-        return {DIGEST: self.digest, STATUS: self.status}
 
 
 def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
@@ -67,8 +62,8 @@ def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
         config=config,
         status=status,
         files=files,
-        digest=digest_in_store(directory, status, files),
         tags=tags_in_store(directory, config, store),
+        last_tags={DIGEST: digest_in_store(directory, status, files), STATUS: status},
         first_name=first_name,
         last_name=last_name,
     )

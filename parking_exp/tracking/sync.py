@@ -58,9 +58,8 @@ def follow_store(directory: RunDirectory, config: RunConfig) -> bool:
     if not config.tracking.mlflow or directory.status != "done":
         return False
     tracked_in = directory.tracking_uri
-    if tracked_in is not None and (
-        config.tracking.uri is None or is_same_store(tracked_in, config.store_uri)
-    ):
+    is_chosen = config.tracking.uri is not None
+    if tracked_in is not None and (not is_chosen or is_same_store(tracked_in, config.store_uri)):
         return False
     directory.update(tracking_uri=config.store_uri)
     return True
@@ -129,7 +128,6 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
         StoreError: the store fails.
     """
     try:
-        prepare(store)
         own_id = None if store.is_own else output_id(directory.output_dir)
         for run in _runs_of_experiments([directory], store):
             run_dir = store.run_dir(run)
@@ -148,7 +146,6 @@ def _digests(
     directories: Iterable[RunDirectory], store: Store
 ) -> "dict[tuple[Path, str | None], Run]":
     """Return the store's runs of the experiments of some directories, by directory and digest."""
-    prepare(store)
     runs = {}
     for run in _runs_of_experiments(directories, store):
         run_dir = store.run_dir(run)
@@ -159,6 +156,7 @@ def _digests(
 
 def _runs_of_experiments(directories: Iterable[RunDirectory], store: Store) -> "list[Run]":
     """Return all runs that a store has of the experiments of some directories."""
+    prepare(store)
     ids = store.experiments()
     names = {directory.path.parents[1].name for directory in directories}
     return store.runs(ids[name] for name in names if name in ids)

@@ -15,7 +15,7 @@ from parking_exp.config.cell_labels import setting_text, settings_of
 from parking_exp.config.paths import resolved
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file
-from parking_exp.runs.directory import RunDirectory, Status
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.tracking.store import Store
@@ -52,12 +52,18 @@ def write_run(directory: RunDirectory, store: Store) -> None:
         first_tags = {**tags, STATUS: "running"}
         run = _create(store, experiment_id, first_tags, snapshot.first_name)
     _record_id(directory, run, store.uri)
-    is_same = run.data.tags.get(DIGEST) == snapshot.digest
+    is_same = run.data.tags.get(DIGEST) == snapshot.last_tags[DIGEST]
     is_here = run.data.tags.get("run_dir") == tags["run_dir"]
     if is_same and is_here and store.has_artifacts(run, snapshot.files):
         return
 
-    _refuse_unverifiable(directory, run, snapshot.status)
+    was_done = run.data.tags.get(STATUS) == "done"
+    if snapshot.status == "done" and was_done and not directory.has_hashes:
+        raise StoreError(
+            "files changed, and result.json has no hashes to check them; the store keeps what it "
+            "has"
+        )
+
     _write_content(store, run, snapshot)
     # What MLflow's UI shows first of a run. A name that a user gave it stays.
     if run.info.run_name == snapshot.first_name != snapshot.last_name:
@@ -98,16 +104,6 @@ def _refuse_damage(directory: RunDirectory) -> None:
         raise StoreError(
             f"{', '.join(changed)} changed after the run was finished; the store keeps what it "
             "has. Restore the file, or delete it, and this warning goes"
-        )
-
-
-def _refuse_unverifiable(directory: RunDirectory, run: "Run", status: Status) -> None:
-    """Raise StoreError for a finished run that the store has, and whose change can't be checked."""
-    is_finished = status == "done" and run.data.tags.get(STATUS) == "done"
-    if is_finished and not directory.has_hashes:
-        raise StoreError(
-            "files changed, and result.json has no hashes to check them; the store keeps what it "
-            "has"
         )
 
 
@@ -179,13 +175,13 @@ def _find(
         if run_dir is None or run.info.lifecycle_stage == "deleted" or owner not in (None, own_id):
             continue
         if resolved(run_dir) != resolved(directory.path):
-            if run.info.run_id == directory.run_id and not run_dir.is_dir():
-                found = found or run
+            is_same = run.info.run_id == directory.run_id and not run_dir.is_dir()
         elif STARTED not in tags:
-            if owner == own_id:
-                found = found or run
-        elif run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]:
-            found = found or run
-        elif owner == own_id:
-            earlier.append(run)
+            is_same = owner == own_id
+        else:
+            is_same = run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]
+            if not is_same and owner == own_id:
+                earlier.append(run)
+        if is_same and found is None:
+            found = run
     return found, earlier

@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 import pandas as pd
 
-from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CrossCheckError, VideoError
 from parking_exp.evaluation.evaluate_policy import describe_rates, find_differences
 from parking_exp.evaluation.video import record_video
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.checkpoints import save_model
-from parking_exp.training.loop import TrainingLoop, derive_seeds
+from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.plot_curves import plot_learning_curves
+from parking_exp.training.seeds import certified_seeds
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
@@ -23,17 +22,18 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
             written.
     """
     config = loop.config
+    settings = config.evaluation
     metrics = loop.task.metrics
     loop.bar.show_activity("final evaluation")
     cross_checked = certified_seeds(config)
     # Cross-checked episodes have batches of their own: the last bits of actions depend on the
     # batch.
-    all_seeds = loop.episode_seeds(config.evaluation.final_n_scenes)
+    all_seeds = settings.seeds(settings.final_n_scenes)
     others = [seed for seed in all_seeds if seed not in cross_checked]
     parts = [loop.run_episodes(seeds) for seeds in (cross_checked, others) if seeds]
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
 
-    summary = loop.record_evaluation(episodes.head(config.evaluation.n_scenes), "eval")
+    summary = loop.record_evaluation(episodes.head(settings.n_scenes), "eval")
     loop.bar.say(describe_rates(summary, loop.model.num_timesteps, metrics))
     loop.record_evaluation(episodes, "final")
     problem = _cross_check(loop, cross_checked, parts[0]) if cross_checked else None
@@ -44,7 +44,7 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     save_model(loop.model, directory.models / "final.zip")
     title = f"{config.experiment_name}: {directory.path.parent.name}"
     plot_learning_curves(loop.metrics.frame(), metrics, title, directory.path / "curves.png")
-    if config.evaluation.video_episodes:
+    if settings.video_episodes:
         _record_video(loop)
     if problem is not None:
         raise CrossCheckError(problem)
@@ -73,20 +73,9 @@ def _cross_check(loop: TrainingLoop, seeds: Sequence[int], episodes: pd.DataFram
 def _record_video(loop: TrainingLoop) -> None:
     """Record a video; a machine that can't render makes none."""
     loop.bar.show_activity("video")
-    seeds = loop.episode_seeds(loop.config.evaluation.video_episodes)
+    settings = loop.config.evaluation
+    seeds = settings.seeds(settings.video_episodes)
     try:
         record_video(loop.policy, loop.task, seeds, loop.directory.path / "video.mp4")
     except VideoError as error:
         loop.bar.say(str(error))
-
-
-def certified_seeds(config: RunConfig) -> list[int]:
-    """Return the seeds of the final episodes that are repeated on the reference simulator, sorted.
-
-    They are drawn with the run's seed, so that a sweep covers many. On the reference itself, all
-    are returned.
-    """
-    first = config.evaluation.first_scene
-    seeds = range(first, first + config.evaluation.final_n_scenes)
-    rng = np.random.default_rng(derive_seeds(config.seed, config.env.training_seeds).certified)
-    return sorted(rng.choice(seeds, config.n_certified, replace=False).tolist())

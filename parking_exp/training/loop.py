@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -34,37 +34,25 @@ from parking_exp.training import checkpoints, rollout_state
 from parking_exp.training.checkpoints import SavedProgress, save_model
 from parking_exp.training.loggers import make_logger
 from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.seeds import derive_seeds
 from parking_exp.training.signals import StopRequest
 from parking_exp.training.trackers import RunTrackers
 
 BAR_UPDATES_PER_S = 5
 
 
-@dataclass(frozen=True)
-class Seeds:
-    """Seeds of one run's random generators."""
-
-    # Weights, exploration and minibatches (Python, NumPy and torch), below 2**31.
-    policy: int
-    # Of the first training env; env i gets this + i. None is an evaluation's seed.
-    training_envs: int
-    # Draws the episodes of the final evaluation that are cross-checked.
-    certified: int
-
-
-def derive_seeds(seed: int, training_seeds: range) -> Seeds:
-    """Derive the seeds of a run's independent random generators from its one seed.
+class TrainingLoop:
+    """The training of one run in one process, from its start or from a checkpoint.
 
     Args:
-        seed: of the run.
-        training_seeds: of the task, from which that of the first training env is taken.
+        config: of the run.
+        directory: of the run.
+        on_saved: called after each checkpoint.
+        trackers: which get each row of metrics.
+        checkpoint: from which the run is resumed, if any.
+        stop: asks the training to stop.
+        resources: closes the task, its envs and the progress bar.
     """
-    policy, training, certified = np.random.SeedSequence(seed).generate_state(3).tolist()
-    return Seeds(policy % 2**31, training_seeds[training % len(training_seeds)], certified)
-
-
-class TrainingLoop:
-    """The training of one run in one process, from its start or from a checkpoint."""
 
     def __init__(
         self,
@@ -74,6 +62,7 @@ class TrainingLoop:
         trackers: RunTrackers,
         checkpoint: Path | None,
         stop: StopRequest,
+        resources: ExitStack,
     ) -> None:
         self.config = config
         self.directory = directory
@@ -88,9 +77,11 @@ class TrainingLoop:
         path = directory.path
         seeds = derive_seeds(config.seed, config.env.training_seeds)
         self.task = make_task(config.env)
+        resources.callback(self.task.close)
         self.env = make_training_envs(
             self.task, config.n_envs, path / MONITOR_FILE, self.progress.wall_s
         )
+        resources.callback(self.env.close)
         self.model = build_model(config, self.task, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
@@ -117,6 +108,7 @@ class TrainingLoop:
             config.tracking.progress_bar,
             heartbeat=directory.heartbeat,
         )
+        resources.callback(self.bar.close)
         self.bar.say(
             f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}"
         )
@@ -124,12 +116,6 @@ class TrainingLoop:
             self.bar.say(note)
         if checkpoint is not None:
             self.bar.say(f"resuming at step {self.progress.step}")
-
-    def close(self) -> None:
-        """Remove the progress bar and close the envs."""
-        self.bar.close()
-        self.env.close()
-        self.task.close()
 
     def learn(self) -> None:
         """Train up to `total_timesteps`, with evaluations and checkpoints on the way."""
@@ -145,28 +131,22 @@ class TrainingLoop:
     def evaluate(self) -> None:
         """Evaluate the model on the first of the fixed episodes."""
         self.bar.show_activity("evaluation")
+        settings = self.config.evaluation
         with self.average.applied():
-            episodes = self.run_episodes(self.episode_seeds(self.config.evaluation.n_scenes))
+            episodes = self.run_episodes(settings.seeds(settings.n_scenes))
             summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
         self.bar.say(describe_rates(summary, self.model.num_timesteps, self.task.metrics))
 
     def run_episodes(self, seeds: Sequence[int], simulator: str | None = None) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""
-
-        def on_step(_: int) -> None:
-            self.stop_if_asked()
-
         try:
-            return evaluate(self.policy, self.task, seeds, on_step, simulator)
+            return evaluate(
+                self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator
+            )
         except DivergenceError as error:
             step = self.model.num_timesteps
             raise DivergenceError(f"evaluation at step {step}: {error}") from error
-
-    def episode_seeds(self, number: int) -> range:
-        """Return the seeds of the first `number` of the fixed evaluation episodes."""
-        first = self.config.evaluation.first_scene
-        return range(first, first + number)
 
     def restore_rollout_state(self) -> None:
         """Set the rollout state of the checkpoint that the run was resumed from, once."""

@@ -8,6 +8,7 @@ from hydra.utils import instantiate
 
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import one_line
+from parking_exp.terminal import say
 
 
 class Tracker:
@@ -31,15 +32,9 @@ class Tracker:
 
 
 class RunTrackers:
-    """The trackers of one run: one that raises is reported, and not called again.
+    """The trackers of one run: one that raises is reported, and not called again."""
 
-    Args:
-        config: of the run.
-        say: shows a line.
-    """
-
-    def __init__(self, config: RunConfig, say: Callable[[str], None]) -> None:
-        self._say = say
+    def __init__(self, config: RunConfig) -> None:
         self._trackers: list[Tracker] = []
         for node in config.tracking.trackers or ():
             make = instantiate(node, _partial_=True, _convert_="all")
@@ -67,7 +62,8 @@ class RunTrackers:
                 self._report(f"{type(tracker).__module__}.{type(tracker).__name__}", error)
 
     def _report(self, name: str, error: Exception) -> None:
-        self._say(
+        say(
             f"the tracker {name} failed ({type(error).__name__}: {one_line(error)}); the run goes "
-            "on without it"
+            "on without it",
+            stderr=True,
         )

@@ -4,8 +4,7 @@ import resource
 import sys
 import traceback
 from collections.abc import Callable
-from contextlib import closing
-from functools import partial
+from contextlib import ExitStack
 
 import torch
 
@@ -18,7 +17,6 @@ from parking_exp.runs.directory import TRACEBACK_FILE, RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import record_provenance
 from parking_exp.runs.trained_here import record_training
-from parking_exp.terminal import say
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
@@ -53,7 +51,7 @@ def train_run(
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
     record_training(directory.path, config)
-    trackers = RunTrackers(config, partial(say, stderr=True))
+    trackers = RunTrackers(config)
     try:
         with torch_settings(config):
             return _train_and_evaluate(config, directory, stop, on_saved, trackers)
@@ -67,8 +65,8 @@ def train_run(
             f"{directory.path / TRACEBACK_FILE}"
         ) from error
     finally:
-        on_saved(directory)
         trackers.finish(directory.status)
+        on_saved(directory)
 
 
 def _train_and_evaluate(
@@ -83,8 +81,8 @@ def _train_and_evaluate(
     restore_logs(directory.path, checkpoint)
     record_provenance(directory.path)
     on_saved(directory)
-    loop = TrainingLoop(config, directory, on_saved, trackers, checkpoint, stop)
-    with closing(loop):
+    with ExitStack() as resources:
+        loop = TrainingLoop(config, directory, on_saved, trackers, checkpoint, stop, resources)
         try:
             loop.learn()
             with loop.average.applied():
@@ -92,10 +90,10 @@ def _train_and_evaluate(
         except InterruptedRunError:
             loop.save_checkpoint()
             raise
-        steps = loop.model.num_timesteps
-        metrics = loop.metrics.latest()
-        description = describe(episodes, loop.task.metrics)
 
+    steps = loop.model.num_timesteps
+    metrics = loop.metrics.latest()
+    description = describe(episodes, loop.task.metrics)
     directory.finish(
         RunResult(str(directory.path), directory.run_id, steps, metrics),
         success_rate=metrics.get("final/success_rate"),

@@ -14,7 +14,7 @@ from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.tasks.registry import make_task
-from parking_exp.training.loop import derive_seeds
+from parking_exp.training.seeds import derive_seeds
 
 TOY = "support.toy_tasks:"
 SHORT = (

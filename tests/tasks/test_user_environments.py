@@ -17,7 +17,7 @@ from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-from parking_exp.training.loop import derive_seeds
+from parking_exp.training.seeds import derive_seeds
 
 PLANE = "support.plane_tasks:"
 SHORT = (

@@ -13,7 +13,7 @@ from parking_exp.tasks.parking.pose import relative_pose
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-from parking_exp.training.loop import derive_seeds
+from parking_exp.training.seeds import derive_seeds
 
 gym.register_envs(highway_env)
 SCALES = [100, 100, 5, 5, 1, 1]

@@ -8,7 +8,8 @@ import socket
 
 import pytest
 import yaml
-from support.runs import artifacts, call_script, evaluate_stored, make_config, run_script, store
+from support.runs import call_script, evaluate_stored, make_config, run_script, store
+from support.sync_processes import sync
 from support.tracked_runs import finished_run, rows
 
 from parking_exp.config.paths import default_uri
@@ -31,18 +32,6 @@ def snapshot(folder):
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
-
-
-def sync(directory, uri):
-    sync_run(directory, Store(uri, directory.output_dir))
-
-
-def evaluated(directory):
-    """The same run with another result of `scripts/evaluate.py`."""
-    folder = directory.path / "evaluations" / "again"
-    folder.mkdir(parents=True)
-    write_json(folder / "summary.json", {"episodes": 1})
-    return directory
 
 
 @pytest.mark.slow
@@ -90,28 +79,6 @@ def test_files_of_a_run_directory_do_not_name_the_output_directory(smoke):
     assert read_json(directory.path / "status.json")["tracking_uri"] == "sqlite:///mlflow.db"
     assert directory.tracking_uri == default_uri(output_dir)
     assert directory.config().output_path == output_dir
-
-
-@pytest.mark.slow
-def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(empty, tmp_path):
-    uri = f"sqlite:///{shutil.copy(empty / 'mlflow.db', tmp_path / 'central.db')}"
-    original = finished_run(tmp_path / "one", uri=uri)
-    sync(original, uri)
-    shutil.copytree(tmp_path / "one", tmp_path / "two")
-    copy = evaluated(RunDirectory(tmp_path / "two" / original.path.relative_to(tmp_path / "one")))
-    sync(copy, uri)
-    assert copy.run_id != original.run_id
-    client = Store(uri, None).client
-    assert artifacts(client, original.run_id, "evaluations") == []
-    assert artifacts(client, copy.run_id, "evaluations") == ["evaluations/again/summary.json"]
-    run_id = copy.run_id
-    shutil.move(tmp_path / "two", tmp_path / "three")
-    moved = RunDirectory(tmp_path / "three" / original.path.relative_to(tmp_path / "one"))
-    sync(moved, uri)
-    assert moved.run_id == run_id
-    assert client.get_run(moved.run_id).data.tags["run_dir"] == str(
-        moved.path.relative_to(tmp_path)
-    )
 
 
 @pytest.fixture
@@ -182,7 +149,7 @@ def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, n
     assert str(link) in str(refusal.value)
     assert snapshot(outside) == before
     with pytest.raises(UntrustedError, match="is a symbolic link"):
-        sync(foreign, default_uri(tmp_path))
+        sync_run(foreign, Store(default_uri(tmp_path), foreign.output_dir))
 
 
 @pytest.mark.parametrize(
@@ -194,12 +161,12 @@ def test_artifacts_of_an_embedded_store_are_neither_sent_elsewhere_nor_read_ther
     place = place.format(listener=uri_of(listener))
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     directory, late = finished_run(output_dir), finished_run(output_dir, seed=1)
-    sync(directory, default_uri(output_dir))
+    sync(directory)
     rows(output_dir, "UPDATE runs SET artifact_uri = ?", place)
     assert len(load("smoke", output_dir=output_dir).problems) == 3  # one of each file
     rows(output_dir, "UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", place)
     with pytest.raises(StoreError, match="artifacts outside of") as refusal:
-        sync(late, default_uri(output_dir))
+        sync(late)
     assert place in str(refusal.value)
     assert rows(output_dir, "SELECT count(*) FROM runs") == [(1,)]
 
@@ -219,7 +186,7 @@ def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_di
 @pytest.mark.parametrize("named_in", ["status.json", "provenance.json"])
 def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, named_in):
     victim, directory = finished_run(output_dir, seed=1), finished_run(output_dir, seed=2)
-    sync(victim, default_uri(output_dir))
+    sync(victim)
     client = store(output_dir)
     before = client.get_run(victim.run_id)
     tags = {
@@ -233,7 +200,7 @@ def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, na
         write_json(
             directory.path / named_in, {"started_ms": 5, "tags": {**tags, "version.torch": "9"}}
         )
-    sync(directory, default_uri(output_dir))
+    sync(directory)
     assert directory.run_id != victim.run_id
     after, stored = (client.get_run(run.run_id) for run in (victim, directory))
     assert (after.info.lifecycle_stage, after.data.tags) == ("active", before.data.tags)

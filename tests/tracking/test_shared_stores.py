@@ -4,12 +4,12 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from support.runs import call_script
+from support.runs import artifacts, call_script
 from support.sync_processes import sync
 from support.tracked_runs import finished_run
 
 from parking_exp.errors import OutputDirectoryError
-from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.directory import RunDirectory, write_summary
 from parking_exp.runs.output_identity import output_id
 from parking_exp.tracking.store import Store
 
@@ -72,12 +72,20 @@ def test_a_moved_output_directory_keeps_its_runs_and_a_copy_gets_its_own(central
     run_id = directory.run_id
     shutil.copytree(tmp_path / "one", tmp_path / "two")
     copy = RunDirectory(tmp_path / "two" / directory.path.relative_to(tmp_path / "one"))
+    evaluation = copy.path / "evaluations" / "again"
+    evaluation.mkdir(parents=True)
+    write_summary(evaluation, {"episodes": 1})
     sync(copy)
     assert copy.run_id != run_id
+    client = Store(central, None).client
+    assert artifacts(client, run_id, "evaluations") == []
+    assert artifacts(client, copy.run_id, "evaluations") == ["evaluations/again/summary.json"]
     shutil.move(tmp_path / "one", tmp_path / "three")
     moved = RunDirectory(tmp_path / "three" / directory.path.relative_to(tmp_path / "one"))
     sync(moved)
     assert moved.run_id == run_id
+    run_dir = client.get_run(run_id).data.tags["run_dir"]
+    assert run_dir == str(moved.path.relative_to(tmp_path))
     assert len(stages(central)) == 2
 
 

@@ -280,46 +280,31 @@ def test_a_run_has_its_provenance_and_its_command_as_tags(output_dir):
     assert run.info.start_time == 1234567
 
 
-def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
+def test_a_failed_store_is_named_once_and_a_run_tries_it_again_only_at_its_end(fresh_dir):
     blocked = fresh_dir / "blocked"
     blocked.touch()  # a file where the database's folder is to be
     uri = f"sqlite:///{blocked / 'mlflow.db'}"
-    directory, messages = written_run(fresh_dir, uri=uri), []
-    writer = StoreWriter([directory.config()], messages.append)
-    writer.sync_in_training(directory)
+    first, second = [written_run(fresh_dir, seed, uri) for seed in range(2)]
+    messages = []
+    writer = StoreWriter([first.config()], messages.append)
+    writer.sync_in_training(first)
+    writer.sync(second)
     problem = f"[Errno 17] File exists: '{blocked}'"
-    assert writer.problems == {directory.path: problem}
+    assert writer.problems == {first.path: problem, second.path: problem}
     assert messages == [
         f"the store {uri} is incomplete ({problem}); training continues, and "
         f"{sync_hint(fresh_dir, uri)}"
     ]
+
     blocked.unlink()
-    writer.sync_in_training(directory)
-    assert writer.problems == {directory.path: problem}
-    directory.update(status="interrupted")
-    writer.sync_in_training(directory)
+    writer.sync_in_training(first)
+    assert writer.problems == {first.path: problem, second.path: problem}
+    first.update(status="interrupted")
+    writer.sync_in_training(first)
+    assert writer.problems == {second.path: problem}
+    assert len(messages) == 1
+    writer.sync(second)
     assert writer.problems == {}
-    assert messages[1:] == ["the store is complete again"]
-
-
-def test_a_failing_store_is_named_once_and_said_to_be_complete_when_it_has_all_runs(fresh_dir):
-    blocked = fresh_dir / "blocked"
-    blocked.touch()
-    uri = f"sqlite:///{blocked / 'mlflow.db'}"
-    directories = [written_run(fresh_dir, seed, uri) for seed in range(2)]
-    messages = []
-    writer = StoreWriter([directory.config() for directory in directories], messages.append)
-
-    for directory in directories:
-        writer.sync(directory)
-    assert [*writer.problems] == [directory.path for directory in directories]
-    assert len(messages) == 1
-    blocked.unlink()
-    writer.sync(directories[0])
-    assert [*writer.problems] == [directories[1].path]
-    assert len(messages) == 1
-    writer.sync(directories[1])
-
     assert messages[1:] == ["the store is complete again"]
 
 

@@ -12,6 +12,7 @@ import pytest
 import stable_baselines3
 import torch
 from stable_baselines3.common.results_plotter import load_results
+from stable_baselines3.common.vec_env import VecMonitor
 from support.runs import (
     artifacts,
     assert_store_is_whole,
@@ -35,11 +36,12 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train, ui_command
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
+from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-from parking_exp.training import checkpoints
-from parking_exp.training.finish import certified_seeds
+from parking_exp.training import checkpoints, loop
+from parking_exp.training.seeds import certified_seeds
 
 STEPS = [100, 200, 300, 400]
 
@@ -286,6 +288,28 @@ def test_two_processes_do_not_work_on_one_run(tmp_path):
         pytest.raises(RunLockedError, match="another process"),
     ):
         train(config)
+
+
+@pytest.mark.parametrize("failing", ["make_training_envs", "build_model", "make_logger"])
+def test_what_a_training_has_made_is_closed_if_it_fails_while_it_is_made(
+    tmp_path, monkeypatch, failing
+):
+    closed = []
+
+    def fail(*_, **__):
+        raise RuntimeError("out of memory")
+
+    config = make_config(
+        "experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false", "n_envs=2"
+    )
+    monkeypatch.setattr(ParkingTask, "close", lambda _: closed.append("task"))
+    monkeypatch.setattr(VecMonitor, "close", lambda _: closed.append("envs"))
+    monkeypatch.setattr(loop, failing, fail)
+
+    with pytest.raises(FailedRunError, match="out of memory"):
+        train(config)
+
+    assert closed == (["task"] if failing == "make_training_envs" else ["envs", "task"])
 
 
 @pytest.mark.slow

@@ -1,0 +1,41 @@
+"""Seeds of a run's random generators, and of the episodes that are cross-checked."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parking_exp.config.schema import RunConfig
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Seeds of one run's random generators."""
+
+    # Weights, exploration and minibatches (Python, NumPy and torch), below 2**31.
+    policy: int
+    # Of the first training env; env i gets this + i. None is an evaluation's seed.
+    training_envs: int
+    # Draws the episodes of the final evaluation that are cross-checked.
+    certified: int
+
+
+def derive_seeds(seed: int, training_seeds: range) -> Seeds:
+    """Derive the seeds of a run's independent random generators from its one seed.
+
+    Args:
+        seed: of the run.
+        training_seeds: of the task, from which that of the first training env is taken.
+    """
+    policy, training, certified = np.random.SeedSequence(seed).generate_state(3).tolist()
+    return Seeds(policy % 2**31, training_seeds[training % len(training_seeds)], certified)
+
+
+def certified_seeds(config: RunConfig) -> list[int]:
+    """Return the seeds of the final episodes that are repeated on the reference simulator, sorted.
+
+    They are drawn with the run's seed, so that a sweep covers many. On the reference itself, all
+    are returned.
+    """
+    seeds = config.evaluation.seeds(config.evaluation.final_n_scenes)
+    rng = np.random.default_rng(derive_seeds(config.seed, config.env.training_seeds).certified)
+    return sorted(rng.choice(seeds, config.n_certified, replace=False).tolist())
