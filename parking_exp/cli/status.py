@@ -20,6 +20,7 @@ from parking_exp.config_model import Name
 from parking_exp.errors import ParkingError, RunNotFoundError, StoreError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
+from parking_exp.runs.run_plans import delete_plan, never_began
 from parking_exp.runs.run_state import RunState, as_plain, as_planned, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import check_output, console, say
@@ -96,9 +97,9 @@ def _prune(request: StatusRequest) -> None:
     stores = _stores(request)
     for path in find_runs(request.output_path, request.experiment_name):
         directory = RunDirectory(path)
-        if directory.is_locked or not directory.never_began:
+        if directory.is_locked or not never_began(directory):
             continue
-        if directory.delete_plan(before=partial(_delete_stored, directory, stores)):
+        if delete_plan(directory, before=partial(_delete_stored, directory, stores)):
             say(f"dropped  {path}", stderr=True)
 
 

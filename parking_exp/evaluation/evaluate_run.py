@@ -19,8 +19,10 @@ from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpi
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
 from parking_exp.evaluation.saved_models import find_saved_model, is_model_file
-from parking_exp.runs.directory import EVALUATIONS, SUMMARY_FILE, RunDirectory, write_summary
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.file_hashes import write_summary
 from parking_exp.runs.metric_logs import EPISODES_FILE
+from parking_exp.runs.run_files import EVALUATIONS, SUMMARY_FILE
 from parking_exp.tasks.registry import EnvConfig, make_task
 from parking_exp.tasks.task import Policy, Task
 from parking_exp.terminal import say

@@ -10,11 +10,10 @@ held by the process that is responsible for the run (its supervisor, or the one 
 without any), `.lock` by the one that trains.
 """
 
-import fcntl
 import os
 import socket
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,31 +25,25 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
-from parking_exp.runs.atomic_files import read_object, sha256, write_json
-from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE
+from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.checkpoint_files import checkpoint_name, checkpoint_problem
+from parking_exp.runs.file_hashes import HASHES, hash_finished_files
+from parking_exp.runs.locks import is_held
 from parking_exp.runs.run_files import (
-    CONFIG_FILE,
     HEARTBEAT_FILE,
     OUTPUT_DIR,
     RESULT_FILE,
     STATUS_FILE,
+    TRACEBACK_FILE,
     Status,
     StatusEntries,
     read_config,
     read_entries,
     write_config,
 )
-from parking_exp.runs.run_provenance import PROVENANCE_FILE, command_line
+from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.terminal import program
 
-# Of a checkpoint.
-MODEL = "model.zip"
-BUFFER = "replay_buffer.npz"
-MANIFEST = "manifest.json"
-
-EVALUATIONS = "evaluations"
-SUMMARY_FILE = "summary.json"
-TRACEBACK_FILE = "traceback.txt"
 SUPERVISOR_LOCK = ".claim"
 TRAINING_LOCK = ".lock"
 STATUS_LOCK = ".status.lock"
@@ -61,27 +54,6 @@ WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon
 RESERVE = ".reserve"
 RESERVE_BYTES = 64 * 1024
 ENDS = ("done", "failed", "interrupted")
-PLAN_FILES = {
-    CONFIG_FILE,
-    STATUS_FILE,
-    STATUS_LOCK,
-    ".sync.lock",
-    SUPERVISOR_LOCK,
-    TRAINING_LOCK,
-    RESERVE,
-}
-"""All that the directory of a run that never began can hold."""
-WRITTEN_AT_THE_END = (
-    EPISODES_FILE,
-    "curves.png",
-    "video.mp4",
-    MONITOR_FILE,
-    "progress.csv",
-    TRACEBACK_FILE,
-    "models/best.zip",
-    "models/final.zip",
-)
-"""Files that are whole once a run has ended."""
 
 
 @dataclass(frozen=True)
@@ -161,8 +133,9 @@ class RunDirectory:
 
     def finish(self, result: RunResult, **values: Any) -> None:
         """Write the result with hashes of the run's files, then the status with other entries."""
-        hashes = {name: sha256(file) for name, file in self._finished_files().items()}
-        write_json(self.path / RESULT_FILE, {**asdict(result), "sha256": hashes})
+        content = asdict(result)
+        content[HASHES] = hash_finished_files(self.path)
+        write_json(self.path / RESULT_FILE, content)
         self.update(status="done", steps=result.steps, **values)
 
     def needs_evaluation(self, config: RunConfig) -> bool:
@@ -195,70 +168,15 @@ class RunDirectory:
         """Whether the run was finished, and its final evaluation is not over yet."""
         return self.status != "done" and (self.path / RESULT_FILE).exists()
 
-    @property
-    def never_began(self) -> bool:
-        """Whether the run was planned, and no process has begun it."""
-        status = self.read_status()
-        is_planned = status.get("status") == "pending" and "started" not in status
-        return is_planned and {file.name for file in self.path.iterdir()} <= PLAN_FILES
-
-    def delete_plan(self, before: Callable[[], None]) -> bool:
-        """Delete the directory of a run that never began, and its parents if they are empty then.
-
-        Args:
-            before: called first, with the run locked.
-
-        Returns:
-            Whether it was deleted; another process may have begun it.
-        """
-        try:
-            with self.supervisor_lock():
-                if not self.never_began:
-                    return False
-                before()
-                for file in self.path.iterdir():
-                    file.unlink()
-        except RunLockedError:
-            return False
-        with suppress(OSError):  # it has other files, or its cell other runs
-            for folder in (self.path, *self.path.parents[:2]):
-                folder.rmdir()
-        return True
-
-    @property
-    def has_hashes(self) -> bool:
-        """Whether the run's files can be checked, which those of earlier versions can't."""
-        return isinstance(read_object(self.path / RESULT_FILE).get("sha256"), dict)
-
-    def changed_files(self) -> list[str]:
-        """Return the names of files that have changed since they were finished.
-
-        Files that were deleted have not.
-        """
-        changed = []
-        for folder in self.evaluations():
-            names = _changed_in_evaluation(folder)
-            changed += [f"{EVALUATIONS}/{folder.name}/{name}" for name in names]
-        if self.status == "done":
-            changed += _changed(self._finished_files(), read_object(self.path / RESULT_FILE))
-        return changed
-
-    def evaluations(self) -> list[Path]:
-        """Return the folders of the evaluations that are complete."""
-        summaries = self.path.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}")
-        return sorted(summary.parent for summary in summaries)
-
-    def _finished_files(self) -> dict[str, Path]:
-        """Return the files of a finished run that no longer change, by their names."""
-        files = [self.path / name for name in (CONFIG_FILE, METRICS_FILE, *WRITTEN_AT_THE_END)]
-        files += sorted(self.checkpoints.glob(f"*/{MODEL}"))
-        return {str(file.relative_to(self.path)): file for file in files if file.is_file()}
-
     def create(self, config: RunConfig) -> None:
         """Make the directory with the resolved config and reserved space."""
-        with self._writable():
-            write_config(self.path, config, durable=True)
+        self.write_config(config, durable=True)
         self.reserve()
+
+    def write_config(self, config: RunConfig, *, durable: bool) -> None:
+        """Write the resolved config, and make the directory if it does not exist."""
+        with self._writable():
+            write_config(self.path, config, durable=durable)
 
     def reserve(self) -> None:
         """Occupy the space in which the run's end can be written, until that is done."""
@@ -276,42 +194,6 @@ class RunDirectory:
             host=socket.gethostname(),
             started=time.time(),
         )
-
-    def write_plan(
-        self,
-        config: RunConfig,
-        label: str,
-        started: float | None,
-        entries: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Write the files of a pending run, or reopen a finished one.
-
-        Nothing is written if the run is locked, or if another process has begun it since `started`.
-        There is no fsync: after a power cut, rerunning the sweep writes the files again.
-        """
-        if self.is_locked:
-            return
-        with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
-            status = self.read_status()
-            if status.get("started") != started:
-                return
-            if status.get("status") == "done":
-                if not self.needs_evaluation(config):
-                    return
-                self.reopen()
-            with self._writable():
-                write_config(self.path, config, durable=False)
-            plan: dict[str, Any] = {
-                "status": "pending",
-                "error": None,
-                "killed": None,
-                "label": label,
-                "total_timesteps": config.total_timesteps,
-                "command": command_line(),
-                "tracking_uri": config.store_uri if config.tracking.mlflow else None,
-                **(entries or {}),
-            }
-            self.update(durable=False, **plan)
 
     def heartbeat(self, **values: Any) -> None:
         """Write the run's progress, for processes that monitor it."""
@@ -367,60 +249,3 @@ class RunDirectory:
     def read_status(self) -> dict[str, Any]:
         """Return the valid entries of status.json."""
         return read_entries(self.path / STATUS_FILE, StatusEntries)[0]
-
-
-def write_summary(folder: Path, entries: Mapping[str, Any]) -> None:
-    """Write the summary of an evaluation, its last file, with the hashes of the others."""
-    others = [file for file in folder.glob("[!.]*") if file.name != SUMMARY_FILE]
-    hashes = {file.name: sha256(file) for file in others}
-    write_json(folder / SUMMARY_FILE, {**entries, "sha256": hashes})
-
-
-def _changed_in_evaluation(folder: Path) -> list[str]:
-    """Return the names of files of an evaluation that have changed since it ended."""
-    summary = read_object(folder / SUMMARY_FILE)
-    if not summary:
-        return [SUMMARY_FILE]
-    return _changed({file.name: file for file in folder.glob("[!.]*") if file.is_file()}, summary)
-
-
-def _changed(files: Mapping[str, Path], record: Mapping[str, Any]) -> list[str]:
-    """Return the names of files that do not have the hashes of a record, if it has any."""
-    hashes = record.get("sha256")
-    if not isinstance(hashes, dict):
-        return []
-    return [name for name, file in files.items() if name in hashes and sha256(file) != hashes[name]]
-
-
-def checkpoint_name(step: int) -> str:
-    """Return the name of a checkpoint's folder; names sort by step."""
-    return f"step={step:010d}"
-
-
-def checkpoint_problem(folder: Path) -> str | None:
-    """Return what is wrong with a checkpoint; None if all files have their hashes."""
-    hashes = read_object(folder / MANIFEST)
-    if not hashes:
-        return f"{MANIFEST} is missing or damaged"
-    for name, digest in hashes.items():
-        file = folder / name
-        if not file.is_file() or sha256(file) != digest:
-            return f"{name} is missing or damaged"
-    return None
-
-
-def is_held(path: Path) -> bool:
-    """Return whether a process holds a lock file; the system releases it when that ends."""
-    try:
-        # A pipe in its place would wait for a writer.
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    except OSError:  # it was never locked
-        return False
-    try:
-        # Shared, so that several may look at once.
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(handle)
-    return False

@@ -55,7 +55,7 @@ class MetricsLog:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._last_step: dict[str, int] = {}
-        for record in self.records():
+        for record in read_metrics(self.path):
             self._last_step |= dict.fromkeys(record["metrics"], record["step"])
 
     def append(self, step: int, values: Mapping[str, Any]) -> dict[str, float]:
@@ -71,14 +71,10 @@ class MetricsLog:
                 file.write(json.dumps(row) + "\n")
         return metrics
 
-    def records(self) -> Iterator[dict[str, Any]]:
-        """Yield the rows so far."""
-        return read_metrics(self.path)
-
     def latest(self) -> dict[str, float]:
         """Return the last value of every metric."""
         values: dict[str, float] = {}
-        for record in self.records():
+        for record in read_metrics(self.path):
             values |= record["metrics"]
         return values
 
@@ -86,7 +82,7 @@ class MetricsLog:
         """Return one row per step, one column per metric; empty cells are NaN."""
         import pandas as pd  # not where a store is only synced
 
-        rows = [{"step": record["step"], **record["metrics"]} for record in self.records()]
+        rows = [{"step": record["step"], **record["metrics"]} for record in read_metrics(self.path)]
         if not rows:
             return pd.DataFrame(columns=["step"])
         return pd.DataFrame(rows).groupby("step").first().reset_index()

@@ -19,11 +19,26 @@ from parking_exp.runs.atomic_files import (
     read_json,
     write_atomically,
 )
+from parking_exp.runs.metric_logs import EPISODES_FILE, MONITOR_FILE
 
 CONFIG_FILE = "config.yaml"
 STATUS_FILE = "status.json"
 RESULT_FILE = "result.json"
 HEARTBEAT_FILE = "beat.json"
+TRACEBACK_FILE = "traceback.txt"
+EVALUATIONS = "evaluations"
+SUMMARY_FILE = "summary.json"  # of an evaluation
+WRITTEN_AT_THE_END = (
+    EPISODES_FILE,
+    "curves.png",
+    "video.mp4",
+    MONITOR_FILE,
+    "progress.csv",
+    TRACEBACK_FILE,
+    "models/best.zip",
+    "models/final.zip",
+)
+"""Files that are whole once a run has ended."""
 OUTPUT_DIR = "../../.."  # from a run directory
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]

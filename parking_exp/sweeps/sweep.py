@@ -20,6 +20,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError, FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import RunState, Stage, count_stages, read_state
 from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
@@ -209,8 +210,14 @@ def _write_plan(runs: Sequence[PlannedRun]) -> None:
     for run in runs:
         directory = RunDirectory(run.path)
         if run.is_due:
-            entries = {**run.entries, "cell_number": run.cell_number}
-            directory.write_plan(run.config, run.label, run.state.started, entries=entries)
+            write_plan(
+                directory,
+                run.config,
+                run.label,
+                run.state.started,
+                cell_number=run.cell_number,
+                **run.entries,
+            )
         elif run.state.cell_number is None:
             with suppress(OSError):  # a directory that can't be written keeps its order
                 directory.update(durable=False, cell_number=run.cell_number)

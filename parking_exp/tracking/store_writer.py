@@ -4,7 +4,9 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from parking_exp.config.schema import RunConfig
-from parking_exp.runs.directory import RunDirectory, Status
+from parking_exp.runs.checkpoint_files import find_checkpoints
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_files import Status
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import sync_hint, sync_problem, try_sync
 
@@ -68,6 +70,6 @@ class StoreWriter:
 
 def moment_of(directory: RunDirectory) -> Moment:
     """Return where a run is: it changes whenever there is something to sync."""
-    checkpoints = sorted(folder.name for folder in directory.checkpoints.glob("step=*"))
-    newest = checkpoints[-1] if checkpoints else None
+    checkpoints = find_checkpoints(directory.checkpoints)
+    newest = checkpoints[-1].name if checkpoints else None
     return directory.status, newest

@@ -10,10 +10,12 @@ from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import one_line
 from parking_exp.runs.atomic_files import read_object
-from parking_exp.runs.directory import EVALUATIONS, MODEL, WRITTEN_AT_THE_END, RunDirectory, Status
+from parking_exp.runs.checkpoint_files import MODEL, find_checkpoints
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.file_hashes import evaluation_files, find_evaluations
 from parking_exp.runs.metric_logs import METRICS_FILE
 from parking_exp.runs.output_identity import output_id
-from parking_exp.runs.run_files import CONFIG_FILE
+from parking_exp.runs.run_files import CONFIG_FILE, EVALUATIONS, WRITTEN_AT_THE_END, Status
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.tracking.store import Store
 
@@ -145,7 +147,7 @@ def files_in_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
     """
     path = directory.path
     files = {CONFIG_FILE: path / CONFIG_FILE}
-    checkpoints = sorted(directory.checkpoints.glob("step=*"))
+    checkpoints = find_checkpoints(directory.checkpoints)
     if checkpoints:
         # Rows after the checkpoint may be written again.
         files[METRICS_FILE] = checkpoints[-1] / METRICS_FILE
@@ -155,7 +157,7 @@ def files_in_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
     if status != "running":
         for name in WRITTEN_AT_THE_END:
             files[name] = path / name
-    for folder in directory.evaluations():
-        for file in sorted(folder.glob("[!.]*")):
+    for folder in find_evaluations(path):
+        for file in evaluation_files(folder):
             files[f"{EVALUATIONS}/{folder.name}/{file.name}"] = file
     return {name: file for name, file in files.items() if file.is_file()}

@@ -16,6 +16,7 @@ from parking_exp.config.paths import resolved
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.file_hashes import changed_files, has_hashes
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.tracking.store import Store
@@ -58,7 +59,7 @@ def write_run(directory: RunDirectory, store: Store) -> None:
         return
 
     was_done = run.data.tags.get(STATUS) == "done"
-    if snapshot.status == "done" and was_done and not directory.has_hashes:
+    if snapshot.status == "done" and was_done and not has_hashes(directory.path):
         raise StoreError(
             "files changed, and result.json has no hashes to check them; the store keeps what it "
             "has"
@@ -99,7 +100,7 @@ def write_new_run(
 def _refuse_damage(directory: RunDirectory) -> None:
     """Raise for links that lead elsewhere, and for files that changed since they were finished."""
     directory.check_links()
-    changed = directory.changed_files()
+    changed = changed_files(directory.path)
     if changed:
         raise StoreError(
             f"{', '.join(changed)} changed after the run was finished; the store keeps what it "

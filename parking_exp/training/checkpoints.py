@@ -27,7 +27,14 @@ from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.runs.atomic_files import fsync, replacing, sha256, write_json
-from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, checkpoint_name, checkpoint_problem
+from parking_exp.runs.checkpoint_files import (
+    BUFFER,
+    MANIFEST,
+    MODEL,
+    checkpoint_name,
+    checkpoint_problem,
+    find_checkpoints,
+)
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.terminal import say
 from parking_exp.training import rollout_state
@@ -103,7 +110,7 @@ def save(
         }
         torch.save(to_tensors(state), folder / STATE)
 
-    folders = _folders(directory)
+    folders = find_checkpoints(directory)
     number = folders.index(target) + 1
     # A later step is of a checkpoint that was damaged when the run was resumed.
     for outdated in folders[: max(0, number - keep_last)] + folders[number:]:
@@ -113,7 +120,7 @@ def save(
 
 def latest(directory: Path) -> Path | None:
     """Return the newest intact checkpoint, or None."""
-    for folder in reversed(_folders(directory)):
+    for folder in reversed(find_checkpoints(directory)):
         problem = checkpoint_problem(folder)
         if problem is None:
             return folder
@@ -191,10 +198,6 @@ def _write_zip(model: OffPolicyAlgorithm, path: Path, exclude: Iterable[str] = (
         return
     with patch.object(zipfile.time, "localtime", return_value=possible):  # type: ignore[attr-defined]
         model.save(path, exclude=exclude)
-
-
-def _folders(directory: Path) -> list[Path]:
-    return sorted(directory.glob("step=*"))
 
 
 def _buffer_state(buffer: ReplayBuffer | None) -> dict[str, np.ndarray]:

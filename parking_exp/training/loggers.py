@@ -18,7 +18,7 @@ from stable_baselines3.common.logger import (
 from tensorboard.compat.proto.summary_pb2 import Summary
 
 from parking_exp.config.schema import TrackingConfig
-from parking_exp.runs.metric_logs import MetricsLog
+from parking_exp.runs.metric_logs import MetricsLog, read_metrics
 
 TENSORBOARD_DIR = "tensorboard"
 # TensorBoard sorts its groups by name and opens the first: evaluations, not what else begins with
@@ -87,7 +87,7 @@ class _MetricsWriter(KVWriter):
         self.table = table
         self.board = board
         self.on_row = on_row
-        for record in metrics.records():
+        for record in read_metrics(metrics.path):
             self._add_row(record["metrics"], record["step"], record["time_ms"] / 1000)
 
     def write(

@@ -13,8 +13,9 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import describe
 from parking_exp.runs.atomic_files import write_atomically
-from parking_exp.runs.directory import TRACEBACK_FILE, RunDirectory, RunResult
+from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
+from parking_exp.runs.run_files import TRACEBACK_FILE
 from parking_exp.runs.run_provenance import record_provenance
 from parking_exp.runs.trained_here import record_training
 from parking_exp.training import checkpoints

@@ -17,7 +17,7 @@ from filelock import FileLock
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError, first_line
-from parking_exp.runs.directory import is_held
+from parking_exp.runs.locks import is_held
 from parking_exp.tuning.search_config import Dimension, SearchConfig
 
 if TYPE_CHECKING:

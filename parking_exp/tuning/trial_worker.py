@@ -14,6 +14,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
+from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import RunState, read_state
 from parking_exp.statistics import normalised_area
 from parking_exp.sweeps.local import Train
@@ -95,7 +96,8 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
     state = read_state(directory.path)
     attempts = 0
     while _may_succeed(state) and attempts < ATTEMPTS:
-        directory.write_plan(config, f"trial {entries['trial']}", state.started, entries=entries)
+        label = f"trial {entries['trial']}"
+        write_plan(directory, config, label, state.started, **entries)
         result = train(directory.path)
         if result == "stopped":
             return None

@@ -11,7 +11,7 @@ from rich.table import Table
 from parking_exp.config.cell_labels import setting
 from parking_exp.errors import plural
 from parking_exp.runs.atomic_files import read_object
-from parking_exp.runs.directory import is_held
+from parking_exp.runs.locks import is_held
 from parking_exp.tuning.search_config import Dimension
 from parking_exp.tuning.study import changes_of, study_errors, trial_lock_path
 

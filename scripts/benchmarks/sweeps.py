@@ -10,7 +10,9 @@ from typing import Any
 from benchmarks.timing import seconds, spread
 from parking_exp.config.compose import compose_runs
 from parking_exp.runs.atomic_files import write_json
-from parking_exp.runs.directory import STATUS_FILE, RunDirectory
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_files import STATUS_FILE
+from parking_exp.runs.run_plans import write_plan
 from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.sweep import plan
 
@@ -82,7 +84,7 @@ def _launch_seconds(output_dir: Path, workers: int, *overrides: str) -> float:
     """Return the seconds that the runs of some overrides take."""
     planned = plan(compose_runs("config", [*overrides, f"output_dir={output_dir}"]))
     for run in planned:
-        RunDirectory(run.path).write_plan(run.config, run.label, None)
+        write_plan(RunDirectory(run.path), run.config, run.label, None)
     duration = seconds(lambda: LocalLauncher(workers).train([run.path for run in planned]))
     if any(RunDirectory(run.path).status != "done" for run in planned):
         raise RuntimeError(f"a timed run failed; see {output_dir}")

@@ -12,6 +12,7 @@ from support.searches import SETTINGS
 from parking_exp.config.compose import compose_runs
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.sweep import plan
 from parking_exp.tuning.study import storage_of
@@ -262,7 +263,7 @@ def test_prune_of_all_runs_leaves_no_folder_behind(tmp_path):
 def test_prune_marks_planned_runs_as_deleted_in_the_store(output_dir):
     (run,) = plan(compose_runs("config", ["experiment=smoke", f"output_dir={output_dir}"]))
     directory = RunDirectory(run.path)
-    directory.write_plan(run.config, run.label, None)
+    write_plan(directory, run.config, run.label, None)
     assert call_script("status", f"output_dir={output_dir}", "sync=true").returncode == 0
     assert [stored.info.run_id for stored in store(output_dir).search_runs(["1"])] == [
         directory.run_id

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.metric_logs import MetricsLog, copy_logs
+from parking_exp.runs.metric_logs import MetricsLog, copy_logs, read_metrics
 from parking_exp.tracking.client import ENVIRONMENT
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import sync_run
@@ -34,7 +34,7 @@ def sync(directory):
 def grow(directory, rows, checkpoint=True):
     """Log rows as training does; then save what looks like a checkpoint."""
     log = MetricsLog(directory.path / "metrics.jsonl")
-    start = max((record["step"] for record in log.records()), default=0)
+    start = max((record["step"] for record in read_metrics(log.path)), default=0)
     for step in range(start + 1, start + rows + 1):
         log.append(step, {key: step + number / 8 for number, key in enumerate(KEYS)})
     if checkpoint:

@@ -23,6 +23,7 @@ from support.sweep_processes import (
 
 from parking_exp.config.compose import compose_runs
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import launcher_of
 from parking_exp.sweeps.local import LocalLauncher
@@ -37,7 +38,7 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
     command = ("train", *QUICK, f"output_dir={tmp_path}", "seeds=2")
     _, failed = plan(compose_runs("config", list(command[1:])))
     directory = RunDirectory(failed.path)
-    directory.write_plan(failed.config, failed.label, None)
+    write_plan(directory, failed.config, failed.label, None)
     directory.update(status="failed", error="a bad day")
     first = call_script(*command, *TWO)
     assert first.returncode == 2
@@ -176,7 +177,7 @@ def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
 def test_the_monitor_tells_whether_a_stopped_run_has_a_checkpoint(tmp_path):
     (run,) = plan(compose_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
     directory, out = RunDirectory(run.path), Screen(file=io.StringIO(), width=200)
-    directory.write_plan(run.config, "her", None)
+    write_plan(directory, run.config, "her", None)
 
     def lines():
         return out.file.getvalue().splitlines()
@@ -199,7 +200,7 @@ def test_a_run_whose_frozen_config_is_broken_or_of_another_run_fails(tmp_path):
         compose_runs("config", [*QUICK, "seeds=3", f"output_dir={tmp_path}"])
     )
     for run, config in ((broken, broken.config), (another, last.config)):
-        RunDirectory(run.path).write_plan(config, run.label, None)
+        write_plan(RunDirectory(run.path), config, run.label, None)
     (broken.path / "config.yaml").write_text("a: [b")
     paths = [broken.path, another.path]
     LocalLauncher(1).train(paths)

@@ -13,7 +13,7 @@ from support.tracked_runs import finished_run, rows, written_run
 from parking_exp.errors import StoreError
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import write_json
-from parking_exp.runs.directory import write_summary
+from parking_exp.runs.file_hashes import changed_files, write_summary
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import sync_problem
 
@@ -207,7 +207,7 @@ def test_an_experiment_that_was_deleted_in_mlflow_is_named_by_all_commands(finis
 def test_result_json_has_the_hashes_of_what_no_longer_changes(finished):
     hashes = json.loads((finished.path / "result.json").read_text())["sha256"]
     assert set(hashes) == set(FILES)
-    assert finished.changed_files() == []
+    assert changed_files(finished.path) == []
 
 
 def test_without_the_hashes_of_a_result_changed_files_are_not_sent(finished):

@@ -27,7 +27,8 @@ from support.tracked_runs import finish, finished_run, rows, written_run
 
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
-from parking_exp.runs.directory import RunDirectory, write_summary
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.file_hashes import write_summary
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import provenance_tags

@@ -1,0 +1,31 @@
+"""The files of checkpoints: their names, their order, and whether they are whole."""
+
+from pathlib import Path
+
+from parking_exp.runs.atomic_files import read_object, sha256
+
+MODEL = "model.zip"
+BUFFER = "replay_buffer.npz"
+MANIFEST = "manifest.json"
+
+
+def checkpoint_name(step: int) -> str:
+    """Return the name of a checkpoint's folder; names sort by step."""
+    return f"step={step:010d}"
+
+
+def find_checkpoints(folder: Path) -> list[Path]:
+    """Return the checkpoints of a run's folder `checkpoints`, the newest last."""
+    return sorted(folder.glob("step=*"))
+
+
+def checkpoint_problem(folder: Path) -> str | None:
+    """Return what is wrong with a checkpoint; None if all files have their hashes."""
+    hashes = read_object(folder / MANIFEST)
+    if not hashes:
+        return f"{MANIFEST} is missing or damaged"
+    for name, digest in hashes.items():
+        file = folder / name
+        if not file.is_file() or sha256(file) != digest:
+            return f"{name} is missing or damaged"
+    return None

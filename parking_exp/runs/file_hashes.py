@@ -1,0 +1,92 @@
+"""Hashes of the files that no longer change once a run or an evaluation has ended.
+
+They are kept in `result.json` and in an evaluation's `summary.json`. The store does not take files
+that differ from them.
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from parking_exp.runs.atomic_files import read_object, sha256, write_json
+from parking_exp.runs.checkpoint_files import MODEL
+from parking_exp.runs.metric_logs import METRICS_FILE
+from parking_exp.runs.run_files import (
+    CONFIG_FILE,
+    EVALUATIONS,
+    RESULT_FILE,
+    STATUS_FILE,
+    SUMMARY_FILE,
+    WRITTEN_AT_THE_END,
+    StatusEntries,
+    read_entries,
+)
+
+HASHES = "sha256"
+
+
+def hash_finished_files(run_dir: Path) -> dict[str, str]:
+    """Return the hashes of a finished run's files, by their names."""
+    return {str(file.relative_to(run_dir)): sha256(file) for file in _finished_files(run_dir)}
+
+
+def write_summary(folder: Path, entries: Mapping[str, Any]) -> None:
+    """Write the summary of an evaluation, its last file, with the hashes of the others."""
+    others = [file for file in evaluation_files(folder) if file.name != SUMMARY_FILE]
+    hashes = {file.name: sha256(file) for file in others}
+    write_json(folder / SUMMARY_FILE, {**entries, HASHES: hashes})
+
+
+def find_evaluations(run_dir: Path) -> list[Path]:
+    """Return the folders of the evaluations that are complete."""
+    summaries = run_dir.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}")
+    return sorted(summary.parent for summary in summaries)
+
+
+def has_hashes(run_dir: Path) -> bool:
+    """Return whether a run's files can be checked, which those of earlier versions can't."""
+    return isinstance(read_object(run_dir / RESULT_FILE).get(HASHES), dict)
+
+
+def changed_files(run_dir: Path) -> list[str]:
+    """Return the names of files that have changed since they were finished.
+
+    Files that were deleted have not.
+    """
+    changed = []
+    for folder in find_evaluations(run_dir):
+        summary = folder / SUMMARY_FILE
+        if read_object(summary):
+            changed += _changed(evaluation_files(folder), summary)
+        else:
+            changed.append(summary)
+    entries, _ = read_entries(run_dir / STATUS_FILE, StatusEntries)
+    if entries.get("status") == "done":
+        changed += _changed(_finished_files(run_dir), run_dir / RESULT_FILE)
+    return [str(file.relative_to(run_dir)) for file in changed]
+
+
+def evaluation_files(folder: Path) -> list[Path]:
+    """Return the files of an evaluation."""
+    return [file for file in sorted(folder.glob("[!.]*")) if file.is_file()]
+
+
+def _finished_files(run_dir: Path) -> list[Path]:
+    """Return the files of a finished run that no longer change."""
+    files = [run_dir / name for name in (CONFIG_FILE, METRICS_FILE, *WRITTEN_AT_THE_END)]
+    files += sorted(run_dir.glob(f"checkpoints/*/{MODEL}"))
+    return [file for file in files if file.is_file()]
+
+
+def _changed(files: Iterable[Path], record: Path) -> list[Path]:
+    """Return the files that do not have the hashes of a record in their folder, if it has any."""
+    hashes = read_object(record).get(HASHES)
+    if not isinstance(hashes, dict):
+        return []
+
+    changed = []
+    for file in files:
+        name = str(file.relative_to(record.parent))
+        if name in hashes and sha256(file) != hashes[name]:
+            changed.append(file)
+    return changed

@@ -1,0 +1,99 @@
+"""Planned runs: directories that a sweep or a search writes before any process begins the runs."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from parking_exp.config.schema import RunConfig
+from parking_exp.errors import RunLockedError
+from parking_exp.runs.directory import (
+    RESERVE,
+    STATUS_LOCK,
+    SUPERVISOR_LOCK,
+    TRAINING_LOCK,
+    RunDirectory,
+)
+from parking_exp.runs.run_files import CONFIG_FILE, STATUS_FILE
+from parking_exp.runs.run_provenance import command_line
+
+PLAN_FILES = {
+    CONFIG_FILE,
+    STATUS_FILE,
+    STATUS_LOCK,
+    ".sync.lock",
+    SUPERVISOR_LOCK,
+    TRAINING_LOCK,
+    RESERVE,
+}
+"""All that the directory of a run that never began can hold."""
+
+
+def write_plan(
+    directory: RunDirectory, config: RunConfig, label: str, started: float | None, **entries: Any
+) -> None:
+    """Write the files of a pending run, or reopen a finished one.
+
+    Nothing is written if the run is locked, or if another process has begun it since `started`.
+    There is no fsync: after a power cut, rerunning the sweep writes the files again.
+
+    Args:
+        directory: of the run.
+        config: of the run.
+        label: of its cell in this plan.
+        started: when the run was begun last, as the plan has read it.
+        entries: other entries of status.json.
+    """
+    if directory.is_locked:
+        return
+    with suppress(RunLockedError), directory.supervisor_lock():
+        status = directory.read_status()
+        if status.get("started") != started:
+            return
+        if status.get("status") == "done":
+            if not directory.needs_evaluation(config):
+                return
+            directory.reopen()
+        directory.write_config(config, durable=False)
+        directory.update(
+            durable=False,
+            status="pending",
+            error=None,
+            killed=None,
+            label=label,
+            total_timesteps=config.total_timesteps,
+            command=command_line(),
+            tracking_uri=config.store_uri if config.tracking.mlflow else None,
+            **entries,
+        )
+
+
+def never_began(directory: RunDirectory) -> bool:
+    """Return whether a run was planned, and no process has begun it."""
+    status = directory.read_status()
+    is_planned = status.get("status") == "pending" and "started" not in status
+    return is_planned and {file.name for file in directory.path.iterdir()} <= PLAN_FILES
+
+
+def delete_plan(directory: RunDirectory, before: Callable[[], None]) -> bool:
+    """Delete the directory of a run that never began, and its parents if they are empty then.
+
+    Args:
+        directory: of the run.
+        before: called first, with the run locked.
+
+    Returns:
+        Whether it was deleted; another process may have begun it.
+    """
+    try:
+        with directory.supervisor_lock():
+            if not never_began(directory):
+                return False
+            before()
+            for file in directory.path.iterdir():
+                file.unlink()
+    except RunLockedError:
+        return False
+    with suppress(OSError):  # it has other files, or its cell other runs
+        for folder in (directory.path, *directory.path.parents[:2]):
+            folder.rmdir()
+    return True
