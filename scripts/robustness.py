@@ -22,9 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.evaluation.agents import find_agents
-from parking_exp.tasks.metrics import Episode, outcome
 from parking_exp.tasks.parking.parking_config import ParkingConfig
-from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
@@ -33,7 +31,6 @@ from parking_exp.terminal import say
 
 N_SCENES = 500
 PRETRAINED_AGENTS = ["pretrained/default", "pretrained/parked", "pretrained/crowded"]
-PARKED = next(metric for metric in METRICS if metric.name == "parked")
 
 
 @dataclass(frozen=True)
@@ -122,9 +119,8 @@ def _perturbed(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:
 def evaluate(policy: Policy, config: ParkingConfig, perturbation: Perturbation) -> dict[str, float]:
     """Return the rates of success, crash and parked over scenes 0 to 499."""
     rng = np.random.default_rng(0)
-    simulator = Simulator(
-        config, Scenes.from_seeds(range(N_SCENES), config.vehicles_range, config.obstacles)
-    )
+    scenes = Scenes.from_seeds(range(N_SCENES), config.vehicles_range, config.obstacles)
+    simulator = Simulator(config, scenes)
     shift = perturbation.shift_m * np.array([[1.0], [0.5]])
     simulator.state.position[:] += rng.uniform(-shift, shift, (2, N_SCENES))
     waiting = [np.zeros((N_SCENES, 2), np.float32)] * perturbation.delay
@@ -133,20 +129,18 @@ def evaluate(policy: Policy, config: ParkingConfig, perturbation: Perturbation) 
     counts = {"success": 0, "crash": 0, "parked": 0}
     under_way = np.ones(N_SCENES, bool)
     while under_way.any():
-        seen = simulator.observe()
+        observation = simulator.observe()
         noise = rng.normal(0, sigma, (N_SCENES, 6))
-        seen["achieved_goal"] = seen["achieved_goal"] + noise
-        seen["observation"] = np.concatenate(
-            [seen["observation"][:, :6] + noise, seen["observation"][:, 6:]], axis=1
-        )
-        waiting.append(policy(seen))
+        observation["achieved_goal"] += noise
+        observation["observation"][:, :6] += noise
+        waiting.append(policy(observation))
         step = simulator.step(waiting.pop(0))
-        for row in np.flatnonzero(under_way & (step.terminated | step.truncated)):
-            ending = outcome("crash", bool(step.failed[row]), bool(step.is_success[row]))
-            counts[ending] = counts.get(ending, 0) + 1
-            episode = Episode(ending, 0, 0.0, simulator.ending(int(row)), {})
-            counts["parked"] += bool(PARKED.of(episode))
-        under_way &= ~(step.terminated | step.truncated)
+        ended = under_way & (step.terminated | step.truncated)
+        counts["crash"] += int((ended & step.failed).sum())
+        counts["success"] += int((ended & step.is_success & ~step.failed).sum())
+        for row in np.flatnonzero(ended):
+            counts["parked"] += simulator.ending(int(row)).parked
+        under_way &= ~ended
     return {name: count / N_SCENES for name, count in counts.items()}
 
 

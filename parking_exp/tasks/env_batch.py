@@ -20,7 +20,8 @@ class EnvBatch:
     """
 
     def __init__(self, envs: Sequence[gym.Env], seeds: Sequence[int], failure_key: str) -> None:
-        self.envs, self.failure_key = [*envs], failure_key
+        self.envs = list(envs)
+        self.failure_key = failure_key
         self._observations = [
             env.reset(seed=int(seed))[0] for env, seed in zip(envs, seeds, strict=True)
         ]
@@ -38,12 +39,12 @@ class EnvBatch:
     def step(self, actions: np.ndarray) -> Step:
         """Step all episodes; actions have the shape (n, actions)."""
         results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
-        self._observations = [result[0] for result in results]
-        self._infos = [result[4] for result in results]
-        columns = [[result[index] for result in results] for index in (1, 2, 3)]
-        for key in (self.failure_key, "is_success"):
-            columns.append([info[key] for info in self._infos])
-        return Step(self.observe(), *(np.array(column) for column in columns))
+        observations, rewards, terminated, truncated, self._infos = zip(*results, strict=True)
+        self._observations = list(observations)
+        failed = [info[self.failure_key] for info in self._infos]
+        is_success = [info["is_success"] for info in self._infos]
+        columns = (rewards, terminated, truncated, failed, is_success)
+        return Step(self.observe(), *map(np.array, columns))
 
     def keep(self, rows: np.ndarray) -> None:
         """Keep only some of the episodes, by mask."""

@@ -1,7 +1,7 @@
 """Check whether a Gymnasium environment can be trained on with HER, by random actions."""
 
-from collections.abc import Iterator
 from contextlib import closing
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -23,28 +23,28 @@ FAR = 1_000.0  # what is added to a goal to get one that is not reached
 VECTORS = (spaces.Box, spaces.MultiBinary)
 
 
-def check_env(config: GymnasiumConfig) -> Iterator[str]:
-    """Yield what an environment lacks to be a goal task, at most one sentence."""
+def environment_problem(config: GymnasiumConfig) -> str | None:
+    """Return what an environment lacks to be a goal task, or None."""
+    env_id = f"env.id={config.id}"
     reward = GymnasiumReward(config)
     with closing(reward):
         try:
             env = reward.env
         except ConfigError as error:
-            yield str(error)
-            return
-        problem = _space_problem(env, f"env.id={config.id}")
+            return str(error)
+        problem = _space_problem(env, env_id)
         if problem is not None:
-            yield problem
-            return
+            return problem
         try:
-            yield from _check_steps(reward, f"env.id={config.id}")
+            return _info_problem(reward, env_id) or _reward_problem(reward, env_id)
         except Exception as error:  # whatever a user's environment raises
-            yield f"env.id={config.id}: {type(error).__name__}: {one_line(error)}"
+            return f"{env_id}: {type(error).__name__}: {one_line(error)}"
 
 
 def _space_problem(env: gym.Env, env_id: str) -> str | None:
     """Return what is wrong with an environment that has not been stepped yet."""
-    space, actions = env.observation_space, env.action_space
+    space = env.observation_space
+    actions = env.action_space
     entries = space.spaces if isinstance(space, spaces.Dict) else {}
     for key in ("desired_goal", "achieved_goal", "observation"):
         if key not in entries:
@@ -69,65 +69,72 @@ def _space_problem(env: gym.Env, env_id: str) -> str | None:
     return None
 
 
-def _check_steps(reward: GymnasiumReward, env_id: str) -> Iterator[str]:
-    """Compare the rewards of random steps with those that `compute_reward` returns for the whole
-    batch.
-    """
+def _info_problem(reward: GymnasiumReward, env_id: str) -> str | None:
+    """Return which entry of `info` is missing in random steps."""
     config = reward.config
-    achieved, desired, rewards, infos = reward.steps
-    known = {key: None for info in infos for key in info}
+    _, _, _, infos = reward.steps
+    known: dict[str, Any] = {}
+    for info in infos:
+        known |= info
     for name in ("success_key", "failure_key"):
-        if (key := getattr(config, name)) is not None and key not in known:
-            yield (
+        key = getattr(config, name)
+        if key is not None and key not in known:
+            return (
                 f"env.{name}={key}: there is no such entry of info; there are "
                 f"{', '.join(known) or 'none'}"
             )
-            return
     if config.success_key is None and not any(key in known for key in SUCCESS_KEYS):
-        yield (
+        return (
             f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; name the entry in "
             "env.success_key"
         )
-        return
+    return None
+
+
+def _reward_problem(reward: GymnasiumReward, env_id: str) -> str | None:
+    """Return how `compute_reward`, called for all random steps at once, differs from their
+    rewards.
+    """
+    failure_key = reward.config.failure_key
+    achieved, desired, rewards, infos = reward.steps
     try:
         computed = reward.compute(achieved, desired, infos)
     except Exception as error:  # whatever a function that was not written for batches raises
-        yield (
+        return (
             f"{env_id}: compute_reward is not vectorised: {type(error).__name__}: {one_line(error)}"
         )
-        return
     if len(computed) != len(rewards):
-        yield (
+        return (
             f"{env_id}: compute_reward is not vectorised: for {len(infos)} goals it returns "
             f"{len(computed)} rewards"
         )
-        return
-    failed = np.array([bool(config.failure_key and info.get(config.failure_key)) for info in infos])
-    different = np.flatnonzero(~(np.abs(computed - rewards) <= TOLERANCE) & ~failed)
+    failed = np.array([bool(failure_key and info.get(failure_key)) for info in infos])
+    is_equal = np.abs(computed - rewards) <= TOLERANCE
+    different = np.flatnonzero(~is_equal & ~failed)
     if len(different):
         step = different[0]
-        yield (
+        return (
             f"{env_id}: compute_reward gives {computed[step]:.6g} for a step of reward "
             f"{rewards[step]:.6g}; if that is "
             "a penalty for failure, set env.failure_key to the entry of info that reports it"
         )
-        return
-    if (ignored := _ignored_goal(reward, computed)) is not None:
-        yield (
+    ignored = _ignored_goal(reward, computed)
+    if ignored is not None:
+        return (
             f"{env_id}: compute_reward ignores its {ignored}: whatever it is, {len(infos)} random "
             "steps have the same "
             "rewards; compute them from the arguments, not from a goal or a state that the "
             "environment keeps"
         )
-        return
     rows = np.array([[float(info[key]) for key in reward.info_keys] for info in infos])
     # Calls `compute_terminated`, whose error is then reported.
     relabelled, _ = reward(achieved, desired, rows)
     if not np.allclose(relabelled, computed, rtol=0, atol=TOLERANCE):
-        yield (
+        return (
             f"{env_id}: compute_reward depends on more than goals and the numbers in every info; "
             "HER can't compute it"
         )
+    return None
 
 
 def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
@@ -164,14 +171,13 @@ def _continues_identically(first: ReplayActions, second: ReplayActions) -> bool:
     second.set_state(first.get_state())
     for _ in range(RANDOM_STEPS):
         action = first.action_space.sample()
-        (expected, reward, *ended, _), (observation, *others, _) = (
-            first.step(action),
-            second.step(action),
-        )
-        same = all(np.array_equal(expected[key], observation[key]) for key in expected)
-        if not (same and [reward, *ended] == others):
+        expected, *expected_end, _ = first.step(action)
+        observation, *end, _ = second.step(action)
+        is_same = all(np.array_equal(expected[key], observation[key]) for key in expected)
+        if not is_same or end != expected_end:
             return False
-        if any(ended):
+        _, terminated, truncated = end
+        if terminated or truncated:
             first.reset()
             second.reset()
     return True

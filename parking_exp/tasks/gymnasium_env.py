@@ -66,7 +66,8 @@ class GymnasiumReward:
     reward is that of the goal itself.
     """
 
-    failure_penalty, failure_key = 0.0, "is_failure"
+    failure_penalty = 0.0
+    failure_key = "is_failure"
     velocity: tuple[int, ...] = ()
 
     def __init__(self, config: GymnasiumConfig) -> None:
@@ -117,11 +118,14 @@ class GymnasiumReward:
             needed = not np.array_equal(without, self.compute(achieved, desired, infos))
         except Exception:  # whatever a function raises that misses something
             needed = True
-        return tuple(
-            key
-            for key in infos[0]
-            if needed and all(isinstance(i.get(key), NUMBERS) for i in infos)
-        )
+        if not needed:
+            return ()
+
+        keys = []
+        for key in infos[0]:
+            if all(isinstance(info.get(key), NUMBERS) for info in infos):
+                keys.append(key)
+        return tuple(keys)
 
     @cached_property
     def _infos(self) -> Callable[[list[dict[str, Any]]], Any]:
@@ -154,11 +158,11 @@ class GymnasiumReward:
         rows = np.empty((len(desired), 0)) if info is None else info
         infos = [dict(zip(self.info_keys, row.tolist(), strict=False)) for row in rows]
         reward = self.compute(achieved, desired, infos)
-        if self.terminates:  # it takes one goal at a time
-            return reward, np.array(
-                list(map(self._compute_terminated, achieved, desired, infos)), bool
-            )
-        return reward, reward >= self.compute(desired, desired, infos)
+        if not self.terminates:
+            return reward, reward >= self.compute(desired, desired, infos)
+        # It takes one goal at a time.
+        reached = list(map(self._compute_terminated, achieved, desired, infos))
+        return reward, np.array(reached, bool)
 
 
 def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -169,21 +173,21 @@ def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list
     """
     env.action_space.seed(0)
     env.reset(seed=0)
-    steps, n_ended = list[Any](), 0
-    while len(steps) < RANDOM_STEPS or (not n_ended and len(steps) < MAX_RANDOM_STEPS):
+    achieved = []
+    desired = []
+    rewards = []
+    infos: list[dict[str, Any]] = []
+    has_ended = False
+    while len(infos) < RANDOM_STEPS or (not has_ended and len(infos) < MAX_RANDOM_STEPS):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        steps.append(
-            (
-                *(np.array(observation[key]) for key in ("achieved_goal", "desired_goal")),
-                float(reward),
-                info,
-            )
-        )
+        achieved.append(np.array(observation["achieved_goal"]))
+        desired.append(np.array(observation["desired_goal"]))
+        rewards.append(float(reward))
+        infos.append(info)
         if terminated or truncated:
-            n_ended += 1
+            has_ended = True
             env.reset()
-    achieved, desired, rewards, infos = zip(*steps, strict=True)
-    return np.array(achieved), np.array(desired), np.array(rewards), list(infos)
+    return np.array(achieved), np.array(desired), np.array(rewards), infos
 
 
 def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env:
@@ -192,15 +196,15 @@ def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env
     Raises:
         ConfigError: it is not registered, cannot be imported or refuses its arguments.
     """
-    if ":" not in config.id and config.id not in gym.registry:
-        for package in ("gymnasium_robotics", "highway_env"):
-            if config.id not in gym.registry and importlib.util.find_spec(package):
-                with (
-                    redirect_stdout(sys.stderr),
-                    redirect_stderr(io.StringIO()),
-                ):  # a notice about other environments
-                    gym.register_envs(importlib.import_module(package))
-    options = {**config.kwargs, **({"render_mode": render_mode} if render_mode else {})}
+    for package in ("gymnasium_robotics", "highway_env"):
+        is_unknown = ":" not in config.id and config.id not in gym.registry
+        if is_unknown and importlib.util.find_spec(package):
+            # What it prints is a notice about other environments.
+            with redirect_stdout(sys.stderr), redirect_stderr(io.StringIO()):
+                gym.register_envs(importlib.import_module(package))
+    options = dict(config.kwargs)
+    if render_mode is not None:
+        options["render_mode"] = render_mode
     try:
         with redirect_stdout(sys.stderr), redirect_stderr(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # deprecations inside of other packages

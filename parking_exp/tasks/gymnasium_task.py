@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from parking_exp.errors import EnvProcessError, VideoError
 from parking_exp.tasks.captions import LAST_FRAME_S, add_caption
 from parking_exp.tasks.env_batch import EnvBatch
-from parking_exp.tasks.environment_checks import check_env, resumes_exactly
+from parking_exp.tasks.environment_checks import environment_problem, resumes_exactly
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import make_env
 from parking_exp.tasks.metrics import outcome
@@ -79,8 +79,10 @@ class GymnasiumTask(Task):
             return (env.spec and env.spec.max_episode_steps) or 1
 
     def problems(self) -> Iterator[str]:
-        """Yield a sentence for each thing that the environment lacks to be a goal task."""
-        return check_env(self.config)
+        """Yield what the environment lacks to be a goal task, at most one sentence."""
+        problem = environment_problem(self.config)
+        if problem is not None:
+            yield problem
 
     def notes(self) -> Iterator[str]:
         """Yield whether an interrupted run resumes exactly."""
@@ -102,9 +104,8 @@ class GymnasiumTask(Task):
                 done = False
                 while not done:
                     yield _frame(env, f"seed {seed}")
-                    action = policy({key: value[np.newaxis] for key, value in observation.items()})[
-                        0
-                    ]
+                    batch = {key: value[np.newaxis] for key, value in observation.items()}
+                    action = policy(batch)[0]
                     observation, _, terminated, truncated, info = env.step(action)
                     done = terminated or truncated
                 ending = outcome(self.failure, info["is_failure"], info["is_success"])
@@ -178,10 +179,8 @@ def _mujoco_backend() -> str:
     program = [sys.executable, "-c", "import mujoco; mujoco.GLContext(8, 8).make_current()"]
     for backend in ("egl", "osmesa"):
         environment = {**os.environ, "MUJOCO_GL": backend}
-        if (
-            subprocess.run(program, env=environment, capture_output=True, check=False).returncode
-            == 0
-        ):
+        attempt = subprocess.run(program, env=environment, capture_output=True, check=False)
+        if attempt.returncode == 0:
             return backend
     raise VideoError(
         "no video: MuJoCo renders by EGL or OSMesa, and neither works here; install e.g. libosmesa6"

@@ -88,7 +88,8 @@ def outcome_rate(name: str, colour: str) -> Metric:
 
 # Okabe and Ito's palette, distinguishable with any colour vision. In `Results.runs`, `steps` are
 # the env steps trained.
-SUCCESS, TIMEOUT = outcome_rate("success", "#009E73"), outcome_rate("timeout", "#56B4E9")
+SUCCESS = outcome_rate("success", "#009E73")
+TIMEOUT = outcome_rate("timeout", "#56B4E9")
 FAILURE_COLOUR = "#D55E00"
 STEPS = Metric(
     "steps", lambda e: e.steps, "Steps an episode", "", "int64", column="episode_steps",

@@ -31,7 +31,8 @@ class ReplayActions(gym.Wrapper):
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         rng = self.unwrapped.np_random if seed is None else seeding.np_random(seed)[0]
-        self._start, self._actions = rng.bit_generator.state, []
+        self._start = rng.bit_generator.state
+        self._actions = []
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -43,10 +44,9 @@ class ReplayActions(gym.Wrapper):
         """Return how the episode started, None before the first one, and the actions since, shape
         (steps, actions).
         """
-        actions = np.reshape(
-            np.array(self._actions, self.action_space.dtype), (-1, *self.action_space.shape)
-        )
-        return {"start": self._start, "actions": actions}
+        actions = np.array(self._actions, self.action_space.dtype)
+        shape = (-1, *self.action_space.shape)
+        return {"start": self._start, "actions": actions.reshape(shape)}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Replay a saved episode up to its last step; what follows is identical."""

@@ -26,21 +26,16 @@ def report(n_cells=3, n_seeds=10, labels=None, look=None, **changes):
     replace fields.
     """
     names = ("sac", "td3", "ddpg", "tqc", "crossq")
-    configs = [
-        {"algorithm.name": names[i % 5], "algorithm.learning_rate": 1e-3 * (1 + i // 5)}
-        for i in range(n_cells)
-    ]
-    cells = {str(i): config for i, config in enumerate(configs)}
+    cells = {}
+    for i in range(n_cells):
+        learning_rate = 1e-3 * (1 + i // 5)
+        cells[str(i)] = {"algorithm.name": names[i % 5], "algorithm.learning_rate": learning_rate}
     others = [0.3 + 0.65 * (i * 7 % n_cells) / n_cells for i in range(3, n_cells)]
     means = {str(i): mean for i, mean in enumerate([0.975, 0.93, 0.71, *others][:n_cells])}
     made = _report(cells, n_seeds, means, look or (lambda label, run: run))
     if labels:
-        made = replace(
-            made,
-            cells=[
-                replace(cell, label=label) for cell, label in zip(made.cells, labels, strict=True)
-            ],
-        )
+        pairs = zip(made.cells, labels, strict=True)
+        made = replace(made, cells=[replace(cell, label=label) for cell, label in pairs])
     return replace(made, **changes)
 
 
@@ -72,17 +67,15 @@ def with_failed_cell():
 def her_ablation(n_seeds=10):
     """Return a report on strategy x n_sampled_goal."""
     bases = {"future": 0.93, "final": 0.86, "episode": 0.8, "random": 0.55}
-    bump = {1: -0.12, 2: -0.03, 4: 0.03, 8: 0.02, 16: -0.06}
-    cells = {
-        f"{s}{k}": {"buffer.name": f"her_{s}", "buffer.n_sampled_goal": k}
-        for s in bases
-        for k in bump
-    }
-    means = {
-        f"{s}{k}": base + bump[k] * (2 if s == "random" else 1)
-        for s, base in bases.items()
-        for k in bump
-    }
+    changes = {1: -0.12, 2: -0.03, 4: 0.03, 8: 0.02, 16: -0.06}
+    cells = {}
+    means = {}
+    for strategy, base in bases.items():
+        sensitivity = 2 if strategy == "random" else 1
+        for k, change in changes.items():
+            label = f"{strategy}{k}"
+            cells[label] = {"buffer.name": f"her_{strategy}", "buffer.n_sampled_goal": k}
+            means[label] = base + change * sensitivity
     return _report(cells, n_seeds, means)
 
 
@@ -113,28 +106,19 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
     rng = np.random.default_rng(len(cells) * 1000 + n_seeds)
 
     def made(label, seed):
-        success = round(
-            float(np.clip(rng.normal(means[label], 0.01 + 0.1 * (1 - means[label])), 0, 1))
-            * N_SCENES
-        )
-        crash = round((N_SCENES - success) * float(rng.uniform(0.3, 0.9)))
-        rise = success / N_SCENES / (1 + np.exp(-(STEPS - 14_000) / 4_000))
+        spread = 0.01 + 0.1 * (1 - means[label])
+        rate = float(np.clip(rng.normal(means[label], spread), 0, 1))
+        n_success = round(rate * N_SCENES)
+        n_crash = round((N_SCENES - n_success) * float(rng.uniform(0.3, 0.9)))
+        success = n_success / N_SCENES
+        rise = success / (1 + np.exp(-(STEPS - 14_000) / 4_000))
         curve = np.clip(rise + rng.normal(0, 0.03, len(STEPS)), 0, 1)
-        return look(
-            label,
-            Run(
-                success / N_SCENES, crash / N_SCENES, 0.5, curve, cpu_s=float(rng.uniform(150, 220))
-            ),
-        )
+        cpu_s = float(rng.uniform(150, 220))
+        return look(label, Run(success, n_crash / N_SCENES, 0.5, curve, cpu_s=cpu_s))
 
     common = {"total_timesteps": BUDGET, "evaluation.final_n_scenes": N_SCENES}
-    frames = results(
-        {label: {**common, **cell} for label, cell in cells.items()},
-        range(n_seeds),
-        made,
-        "algorithms",
-    )
-    report = build_report(
-        frames, ["algorithms"], quick=True, command="python scripts/report.py experiment=algorithms"
-    )
+    configs = {label: {**common, **changes} for label, changes in cells.items()}
+    frames = results(configs, range(n_seeds), made, "algorithms")
+    command = "python scripts/report.py experiment=algorithms"
+    report = build_report(frames, ["algorithms"], quick=True, command=command)
     return replace(report, quick=False, notes=(), made="2026-11-02T09:30:00Z")

@@ -58,9 +58,12 @@ def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="o
     """Return the results of an experiment; cells: name -> dotted keys that differ from CONFIG, None
     for no such key.
     """
-    runs, curves, episodes = [], [], []
+    runs = []
+    curves = []
+    episodes = []
     for label, changes in cells.items():
-        config = {key: value for key, value in {**CONFIG, **changes}.items() if value is not None}
+        changed = {**CONFIG, **changes}
+        config = {key: value for key, value in changed.items() if value is not None}
         first_scene = config["evaluation.first_scene"]
         for seed in seeds:
             run = look(label, seed)
@@ -84,11 +87,10 @@ def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="o
 
 def together(*parts: Results) -> Results:
     """Return the results of several experiments."""
-    names = ("runs", "curves", "episodes")
-    return Results(
-        *(pd.concat([getattr(part, name) for part in parts], ignore_index=True) for name in names),
-        "",
-    )
+    frames = []
+    for name in ("runs", "curves", "episodes"):
+        frames.append(pd.concat([getattr(part, name) for part in parts], ignore_index=True))
+    return Results(*frames, uri="")
 
 
 def _row(number, run, run_id, experiment, label, seed, config):

@@ -12,14 +12,12 @@ import torch
 from support.runs import CLOCKED, history, store
 
 
-def differences(one, two):
-    """What two runs left behind and where that is not the same, to the last bit; both are run
-    directories.
-    """
-    ours, theirs = contents(one), contents(two)
-    return sorted(
-        name for name in {*ours, *theirs} if name not in ours or theirs.get(name) != ours[name]
-    )
+def differences(run_dir, other_run_dir):
+    """Names of what two runs left behind and where that is not the same, to the last bit."""
+    values = contents(run_dir)
+    others = contents(other_run_dir)
+    names = sorted({*values, *others})
+    return [name for name in names if name not in values or others.get(name) != values[name]]
 
 
 def contents(path):
@@ -27,24 +25,23 @@ def contents(path):
     last checkpoint's.
     """
     folder = sorted((path / "checkpoints").glob("step=*"))[-1]
-    found = {
+    values = {
+        "checkpoint": folder.name,
         "metrics": metrics(path),
+        "episodes.csv": (path / "episodes.csv").read_text(),
+        "monitor.csv": table(path / "monitor.csv", comment=1, without={"t"}),
         "progress.csv": table(path / "progress.csv"),
         **events(path / "tensorboard"),
+        **state(folder / "state.pt"),
     }
-    found["episodes.csv"] = (path / "episodes.csv").read_text()
-    found["monitor.csv"] = table(path / "monitor.csv", comment=1, without={"t"})
-    found |= state(folder / "state.pt") | {"checkpoint": folder.name}
-    for archive in (folder / "replay_buffer.npz",):
-        with np.load(archive) as arrays:
-            found |= {f"{archive.name}/{name}": exact(arrays[name]) for name in arrays}
-    for model in (
-        folder / "model.zip",
-        path / "models" / "best.zip",
-        path / "models" / "final.zip",
-    ):
-        found |= {f"{model.name}/{name}": value for name, value in parameters(model).items()}
-    return found
+    with np.load(folder / "replay_buffer.npz") as arrays:
+        for name in arrays:
+            values[f"replay_buffer.npz/{name}"] = exact(arrays[name])
+    models = path / "models"
+    for model in (folder / "model.zip", models / "best.zip", models / "final.zip"):
+        for name, value in parameters(model).items():
+            values[f"{model.name}/{name}"] = value
+    return values
 
 
 def metrics(path):
@@ -71,10 +68,11 @@ def table(path, comment=0, without=CLOCKED):
     if not path.exists():
         return None  # not asked for
     lines = path.read_text().splitlines()[comment:]
-    return [
-        {name: cell for name, cell in row.items() if name not in without}
-        for row in csv.DictReader(lines)
-    ]
+    rows = list(csv.DictReader(lines))
+    for row in rows:
+        for name in without:
+            row.pop(name, None)
+    return rows
 
 
 def events(path):
@@ -87,43 +85,44 @@ def events(path):
     board = EventAccumulator(str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False)
     board.Reload()
     tags = without_clock(dict.fromkeys(board.Tags()["scalars"]))
-    return {
-        f"tensorboard/{tag}": [(event.step, event.value) for event in board.Scalars(tag)]
-        for tag in tags
-    }
+    points = {}
+    for tag in tags:
+        points[f"tensorboard/{tag}"] = [(event.step, event.value) for event in board.Scalars(tag)]
+    return points
 
 
 def state(path):
-    found = torch.load(path, weights_only=True)
+    saved = torch.load(path, weights_only=True)
     for name in ("cpu_s", "wall_s"):
-        del found["progress"][name]
-    for episode in found["model"]["ep_info_buffer"]:
+        del saved["progress"][name]
+    for episode in saved["model"]["ep_info_buffer"]:
         del episode["t"]
-    for waiting in found["rollout"]["metrics"].values():
+    for waiting in saved["rollout"]["metrics"].values():
         for name in CLOCKED:
             waiting.pop(name, None)
-    return leaves(found, path.name)
+    return leaves(saved, path.name)
 
 
 def parameters(path):
     """Parameters, optimizers and other tensors of a Stable-Baselines3 zip."""
-    found = {}
+    tensors = {}
     with zipfile.ZipFile(path) as archive, warnings.catch_warnings(action="ignore"):
         for name in archive.namelist():
             if name.endswith(".pth"):
-                found |= leaves(torch.load(io.BytesIO(archive.read(name)), weights_only=True), name)
-    return found
+                file = io.BytesIO(archive.read(name))
+                tensors |= leaves(torch.load(file, weights_only=True), name)
+    return tensors
 
 
 def leaves(node, name):
-    if isinstance(node, dict | list | tuple):
-        items = node.items() if isinstance(node, dict) else enumerate(node)
-        return {
-            key: leaf
-            for part, child in items
-            for key, leaf in leaves(child, f"{name}/{part}").items()
-        }
-    return {name: exact(node.detach().numpy()) if torch.is_tensor(node) else node}
+    if torch.is_tensor(node):
+        return {name: exact(node.detach().numpy())}
+    if not isinstance(node, dict | list | tuple):
+        return {name: node}
+    values = {}
+    for part, child in node.items() if isinstance(node, dict) else enumerate(node):
+        values |= leaves(child, f"{name}/{part}")
+    return values
 
 
 def exact(array):

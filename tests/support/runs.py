@@ -5,7 +5,6 @@ import gc
 import gzip
 import importlib
 import io
-import json
 import os
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 
 ROOT = Path(__file__).resolve().parents[2]
 GROUPS = (
@@ -67,7 +67,9 @@ def call_script(name, *arguments, cwd=None):
     in any process.
     """
     main = importlib.import_module(f"parking_exp.cli.{name}").main
-    output, errors, code = io.StringIO(), io.StringIO(), 0
+    output = io.StringIO()
+    errors = io.StringIO()
+    code = 0
     with contextlib.ExitStack() as stack:
         stack.enter_context(pytest.MonkeyPatch.context()).setattr(
             sys, "argv", [f"scripts/{name}.py", *arguments]
@@ -117,10 +119,10 @@ def store(output_dir):
 
 def artifacts(client, run_id, folder=None):
     """All artifact paths of a run."""
-    found = []
+    paths = []
     for item in client.list_artifacts(run_id, folder):
-        found += artifacts(client, run_id, item.path) if item.is_dir else [item.path]
-    return sorted(found)
+        paths += artifacts(client, run_id, item.path) if item.is_dir else [item.path]
+    return sorted(paths)
 
 
 def stored_params(config):
@@ -142,13 +144,13 @@ def assert_store_is_whole(output_dir, total_timesteps):
     """The run is finished in the store, has every step once, and the values of the run
     directory.
     """
-    directory, client = only_run(output_dir), store(output_dir)
+    directory = only_run(output_dir)
+    client = store(output_dir)
     run = client.get_run(directory.run_id)
     assert run.info.status == "FINISHED"
     assert run.data.tags["status"] == "done"
     local = {}
-    for line in (directory.path / "metrics.jsonl").read_text().splitlines():
-        record = json.loads(line)
+    for record in read_metrics(directory.path / METRICS_FILE):
         for key, value in record["metrics"].items():
             local.setdefault(key, []).append((record["step"], value))
     assert set(run.data.metrics) == set(local)

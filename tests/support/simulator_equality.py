@@ -17,22 +17,20 @@ KINDS = ("random", "biased", "gentle", "trained")
 def actions_of(kind, rng, shape, policy=None):
     """A function of the step's observations and rows -> actions, of one kind for all scenes."""
     bias = rng.uniform(-1, 1, shape)
-    bias[:, 0] = (
-        np.sign(bias[:, 0]) * np.abs(bias[:, 0]) ** 0.3
-    )  # mostly full throttle or full brake: early crashes
+    # Mostly full throttle or full brake: early crashes.
+    bias[:, 0] = np.sign(bias[:, 0]) * np.abs(bias[:, 0]) ** 0.3
 
     def act(observation, rows):
-        n = len(rows)
+        size = (len(rows), shape[1])
         if kind == "random":
-            actions = rng.uniform(-1, 1, (n, shape[1]))
+            actions = rng.uniform(-1, 1, size)
         elif kind == "biased":
-            actions = bias[rows] + rng.normal(
-                0, 0.3, (n, shape[1])
-            )  # beyond [-1, 1] now and then, to be clipped
+            # Beyond [-1, 1] now and then, to be clipped.
+            actions = bias[rows] + rng.normal(0, 0.3, size)
         elif kind == "gentle":
-            actions = rng.uniform(-0.2, 0.2, (n, shape[1]))
+            actions = rng.uniform(-0.2, 0.2, size)
         else:
-            actions = policy(observation) + rng.normal(0, 0.05, (n, shape[1]))
+            actions = policy(observation) + rng.normal(0, 0.05, size)
         return actions.astype(np.float32)
 
     return act
@@ -50,24 +48,19 @@ def record(config, scenes, act):
     """Run whole episodes in the simulator; return first observations, and (action, observation,
     reward, flags) of steps.
     """
-    simulator = Simulator(
-        config, Scenes.from_seeds(scenes, config.vehicles_range, config.obstacles)
-    )
+    starting = Scenes.from_seeds(scenes, config.vehicles_range, config.obstacles)
+    simulator = Simulator(config, starting)
     records = [[] for _ in scenes]
-    rows, observation = np.arange(len(scenes)), simulator.observe()
+    rows = np.arange(len(scenes))
+    observation = simulator.observe()
     starts = {key: value.copy() for key, value in observation.items()}
     while len(rows):
         actions = act(observation, rows)
         step = simulator.step(actions)
         for number, row in enumerate(rows):
             observed = {key: value[number] for key, value in step.observation.items()}
-            flags = (
-                step.terminated[number],
-                step.truncated[number],
-                step.failed[number],
-                step.is_success[number],
-            )
-            records[row].append((actions[number], observed, step.reward[number], flags))
+            reward, *flags = [values[number] for values in step[1:]]
+            records[row].append((actions[number], observed, reward, flags))
         done = step.terminated | step.truncated
         simulator.keep(~done)
         rows = rows[~done]
@@ -79,7 +72,8 @@ def repeat(config, scenes, starts, records):
     """Repeat recorded episodes in highway-env; return what differed, at most one entry for each
     scene.
     """
-    env, mismatches = make_env(config), []
+    env = make_env(config)
+    mismatches = []
     for row, scene in enumerate(scenes):
         first, _ = env.reset(seed=int(scene))
         if any((first[key] != starts[key][row]).any() for key in first):
@@ -87,7 +81,7 @@ def repeat(config, scenes, starts, records):
         for number, (action, observed, reward, flags) in enumerate(records[row], start=1):
             theirs, their_reward, terminated, truncated, info = env.step(action)
             far = max(np.abs(theirs[key] - observed[key]).max() for key in theirs)
-            same_flags = flags == (terminated, truncated, info["crashed"], info["is_success"])
+            same_flags = flags == [terminated, truncated, info["crashed"], info["is_success"]]
             if not (far <= TOLERANCE and abs(their_reward - reward) <= TOLERANCE and same_flags):
                 mismatches.append((scene, number, far, reward, their_reward, flags))
                 break
@@ -96,16 +90,15 @@ def repeat(config, scenes, starts, records):
 
 def different_scenes(seeds, vehicles):
     """Seeds whose scenes are not what highway-env makes of them."""
-    found = []
+    different = []
     env = make_env(make_config(f"env.vehicles_count={vehicles}").env).unwrapped
     scenes = Scenes.from_seeds(seeds, (vehicles, vehicles))
     for row, seed in enumerate(seeds):
         env.reset(seed=seed)
-        things = [env.vehicle.goal, *env.road.vehicles[1:]]
+        objects = [env.vehicle.goal, *env.road.vehicles[1:]]
+        poses = [(*item.position, item.heading) for item in objects]
         slots = [scenes.goal[row], *scenes.vehicles[row]]
-        same_slots = [(*thing.position, thing.heading) for thing in things] == [
-            (*SLOT_POSITIONS[slot], SLOT_HEADINGS[slot]) for slot in slots
-        ]
-        if not (env.vehicle.heading == scenes.heading[row] and same_slots):
-            found.append(seed)
-    return found
+        expected = [(*SLOT_POSITIONS[slot], SLOT_HEADINGS[slot]) for slot in slots]
+        if poses != expected or env.vehicle.heading != scenes.heading[row]:
+            different.append(seed)
+    return different

@@ -57,7 +57,7 @@ class Tells(SAC):
     def learn(self, *arguments, **keywords):
         begin = time.time()
         super().learn(*arguments, **keywords)
-        told = {
+        conditions = {
             "cores": sorted(os.sched_getaffinity(0)),
             "threads": {
                 name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -69,7 +69,7 @@ class Tells(SAC):
             "store_modules": sorted({"mlflow", "sqlalchemy", "alembic"} & {*sys.modules}),
             "time": [begin, time.time()],
         }
-        Path(os.environ["TELLS"], f"{os.getpid()}.json").write_text(json.dumps(told))
+        Path(os.environ["TELLS"], f"{os.getpid()}.json").write_text(json.dumps(conditions))
         return self
 
 

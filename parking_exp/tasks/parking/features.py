@@ -10,7 +10,10 @@ from parking_exp.tasks.parking.geometry import LOT_LENGTH_M, LOT_WIDTH_M
 from parking_exp.tasks.parking.nearby_vehicles import ENTRIES
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
 
-GOAL_SCALE_M, NEAR_M, VEHICLE_M = 10.0, 2.0, 4.0
+# Units of distances in features: to the goal, at the scale of a slot, and to vehicles.
+GOAL_SCALE_M = 10.0
+NEAR_M = 2.0
+VEHICLE_M = 4.0
 X_SCALE, Y_SCALE = map(float, DEFAULT_SCALES[:2])  # metres per unit of the observation
 
 
@@ -59,9 +62,11 @@ class EgoFrameExtractor(TaskFeatures):
         seen = observation[:, len(DEFAULT_FEATURES) :].unflatten(
             -1, (self.vehicles_count, len(ENTRIES))
         )
-        cos_h, sin_h = observation[:, 4:5], observation[:, 5:6]
+        cos_h = observation[:, 4:5]
+        sin_h = observation[:, 5:6]
         presence, x, y, cos, sin = seen.unbind(-1)
-        dx, dy = x * (X_SCALE / GOAL_SCALE_M), y * (Y_SCALE / GOAL_SCALE_M)
+        dx = x * (X_SCALE / GOAL_SCALE_M)
+        dy = y * (Y_SCALE / GOAL_SCALE_M)
         return torch.stack(
             (
                 presence,
@@ -75,11 +80,11 @@ class EgoFrameExtractor(TaskFeatures):
 
     def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return the features of car and goal, shape (batch, 10)."""
-        x, y, vx, vy, cos_h, sin_h = observations["observation"][:, : len(DEFAULT_FEATURES)].unbind(
-            -1
-        )
+        car = observations["observation"][:, : len(DEFAULT_FEATURES)]
+        x, y, vx, vy, cos_h, sin_h = car.unbind(-1)
         goal_x, goal_y, _, _, goal_cos, goal_sin = observations["desired_goal"].unbind(-1)
-        dx, dy = (goal_x - x) * X_SCALE, (goal_y - y) * Y_SCALE
+        dx = (goal_x - x) * X_SCALE
+        dy = (goal_y - y) * Y_SCALE
         return torch.stack(
             (
                 (cos_h * dx + sin_h * dy) / GOAL_SCALE_M,
@@ -123,8 +128,9 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         # Virtual goals may move, real ones never do: networks see the difference only if the reward
         # depends on it.
         moving_goals = any(weights[2:4])
-        super().__init__(observation_space, 20 if moving_goals else 19)
-        self.reward_weights, self.moving_goals = weights, moving_goals
+        super().__init__(observation_space, 19 + moving_goals)
+        self.reward_weights = weights
+        self.moving_goals = moving_goals
 
     def of_vehicles(
         self, observations: dict[str, torch.Tensor], of_car: torch.Tensor
@@ -135,33 +141,30 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         vehicles = super().of_vehicles(observations, of_car)
         presence, ahead, left = vehicles[..., :3].unbind(-1)
         goal_ahead, goal_left, cos, sin = of_car[:, :4].split(1, dim=-1)
-        dx, dy = ahead - goal_ahead, left - goal_left
+        dx = ahead - goal_ahead
+        dy = left - goal_left
         near = torch.stack((ahead, left, cos * dx + sin * dy, cos * dy - sin * dx), dim=-1)
-        return torch.cat(
-            (vehicles, torch.tanh(near * (GOAL_SCALE_M / VEHICLE_M)) * presence[..., None]), dim=-1
-        )
+        near = torch.tanh(near * (GOAL_SCALE_M / VEHICLE_M)) * presence[..., None]
+        return torch.cat((vehicles, near), dim=-1)
 
     def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return the features of car and goal, shape (batch, 19 or 20)."""
         features = super().of_car(observations)
-        observation, goal = (
-            observations["observation"][:, : len(DEFAULT_FEATURES)],
-            observations["desired_goal"],
-        )
+        car = observations["observation"][:, : len(DEFAULT_FEATURES)]
+        goal = observations["desired_goal"]
         side = torch.where(goal[:, 1:2] < 0, -1.0, 1.0).to(features)
         ahead, left, cos, sin, speed = features[:, :5].split(1, dim=-1)
         from_goal = torch.cat((-cos * ahead - sin * left, sin * ahead - cos * left), dim=-1)
-        distance = torch.sqrt(
-            (observation - goal).abs() @ features.new_tensor(self.reward_weights)[:, None]
-        )
+        near = torch.cat((features[:, :2], from_goal), dim=-1) * (GOAL_SCALE_M / NEAR_M)
+        weights = features.new_tensor(self.reward_weights)[:, None]
         parts = [
             features[:, :6],
             features[:, 6:] * side,
             from_goal,
             speed * cos,
             -speed * sin,
-            torch.tanh(torch.cat((features[:, :2], from_goal), dim=-1) * (GOAL_SCALE_M / NEAR_M)),
-            distance,
+            torch.tanh(near),
+            torch.sqrt((car - goal).abs() @ weights),
         ]
         if self.moving_goals:
             parts.append((goal[:, 2:4] * goal[:, 4:6]).sum(-1, keepdim=True))
@@ -185,7 +188,7 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
 
     def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
         super().__init__(observation_space, reward_weights)
-        across = [*self.ACROSS]
+        across = list(self.ACROSS)
         n_of_vehicles = self.vehicles_count * self.of_each_vehicle
         first_vehicle = self.features_dim - n_of_vehicles
         for first in range(first_vehicle, self.features_dim, self.of_each_vehicle):
@@ -205,13 +208,10 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
         """Return -1 where the scene is mirrored, else 1; shape (batch, 1)."""
         # In single precision as in the networks, whatever the buffer holds: one sign for features
         # and actions.
-        observation, goal = (
-            observations["observation"].float(),
-            observations["desired_goal"].float(),
-        )
-        x, y = ((goal[:, :2] - observation[:, :2]) * goal.new_tensor([X_SCALE, Y_SCALE])).split(
-            1, dim=1
-        )
+        observation = observations["observation"].float()
+        goal = observations["desired_goal"].float()
+        scales = goal.new_tensor([X_SCALE, Y_SCALE])
+        x, y = ((goal[:, :2] - observation[:, :2]) * scales).split(1, dim=1)
         left = y * observation[:, 4:5] - x * observation[:, 5:6]
         return torch.where(left < 0, -1.0, 1.0)
 

@@ -30,11 +30,8 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Step the env."""
         observation, _, terminated, truncated, info = self.env.step(action)
-        reward = (
-            float(info["is_success"])
-            - 1.0
-            + self.unwrapped.config["collision_reward"] * info["crashed"]
-        )
+        reward = float(info["is_success"]) - 1.0
+        reward += self.unwrapped.config["collision_reward"] * info["crashed"]
         return observation, reward, terminated, truncated, info
 
     def compute_reward(

@@ -39,16 +39,19 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
         for scene in scenes:
             observation, info = env.reset(seed=scene)
             skip_unused_work(env)
-            steps, done = 0, False
+            steps = 0
+            done = False
             images[:] = [draw()]
             while True:
                 yield from (add_caption(frame, f"scene {scene}") for frame in images)
                 if done or steps >= MAX_EPISODE_S * config.policy_frequency:
                     break
-                action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
+                batch = {key: value[np.newaxis] for key, value in observation.items()}
+                action = policy(batch)[0]
                 images.clear()
                 observation, _, terminated, truncated, info = env.step(action)
-                steps, done = steps + 1, terminated or truncated
+                steps += 1
+                done = terminated or truncated
                 lot.render()
             ending = f"cut after {MAX_EPISODE_S:.0f} s"
             if done:

@@ -40,16 +40,19 @@ def _lots(n: int, columns: int, head: float) -> tuple[Figure, np.ndarray]:
     The frame of the axes is the wall.
     """
     rows = -(-n // columns)
-    figure = new_figure(
-        0.4 + rows * (head + (WIDTH_IN - 0.8) / columns * LOT_WIDTH_M / LOT_LENGTH_M)
-    )
+    lot_height = (WIDTH_IN - 0.8) / columns * LOT_WIDTH_M / LOT_LENGTH_M
+    figure = new_figure(0.4 + rows * (head + lot_height))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in panels.flat[n:]:
         axes.remove()
-    for number, axes in enumerate(lots := panels.flat[:n]):
-        axes.set(aspect="equal", xticks=(-30, 0, 30), yticks=(-20, 0, 20))
+    lots = panels.flat[:n]
+    for number, axes in enumerate(lots):
         axes.set(
-            xlim=(-LOT_LENGTH_M / 2, LOT_LENGTH_M / 2), ylim=(-LOT_WIDTH_M / 2, LOT_WIDTH_M / 2)
+            aspect="equal",
+            xticks=(-30, 0, 30),
+            yticks=(-20, 0, 20),
+            xlim=(-LOT_LENGTH_M / 2, LOT_LENGTH_M / 2),
+            ylim=(-LOT_WIDTH_M / 2, LOT_WIDTH_M / 2),
         )
         axes.spines[:].set(visible=True, linewidth=1.8, alpha=0.55)
         axes.xaxis.set_visible(number + columns >= n)
@@ -79,9 +82,14 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
     if not failed:
         return
     n = len(failed)
-    columns = min(n, 2 if n <= 4 else 3 if n <= 12 else 4)
+    columns = 4
+    if n <= 12:
+        columns = 3
+    if n <= 4:
+        columns = min(n, 2)
     labels = wrapped_labels(cells, 84 // columns, lines=2)
-    figure, lots = _lots(n, columns, head=0.22 + 0.13 * max(label.count("\n") for label in labels))
+    n_breaks = max(label.count("\n") for label in labels)
+    figure, lots = _lots(n, columns, head=0.22 + 0.13 * n_breaks)
     highest = max(10.0, 5 * np.ceil(np.nanmax(failed) / 5))
     for axes, rates, label in zip(lots, failed, labels, strict=True):
         slots = _shapes(

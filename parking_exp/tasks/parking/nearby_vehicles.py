@@ -35,12 +35,14 @@ def nearest_vehicles(
     offset = others - position[:, None]
     squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
     nearest = np.argsort(squared, axis=1, kind="stable")[:, :count]
-    rows, n_nearest = np.arange(len(position))[:, None], nearest.shape[1]
-    seen = np.zeros((len(position), count, len(ENTRIES)))
-    seen[:, :n_nearest, 0] = squared[rows, nearest] < FAR_M**2
-    seen[:, :n_nearest, 1:3] = offset[rows, nearest] / DEFAULT_SCALES[:2]
+    rows = np.arange(len(position))[:, None]
     angle = heading[rows, nearest]
-    seen[:, :n_nearest, 3], seen[:, :n_nearest, 4] = np.cos(angle), np.sin(angle)
+    seen = np.zeros((len(position), count, len(ENTRIES)))
+    present = seen[:, : nearest.shape[1]]
+    present[..., 0] = squared[rows, nearest] < FAR_M**2
+    present[..., 1:3] = offset[rows, nearest] / DEFAULT_SCALES[:2]
+    present[..., 3] = np.cos(angle)
+    present[..., 4] = np.sin(angle)
     seen *= seen[..., :1]
     return seen.reshape(len(position), -1)
 
@@ -76,14 +78,13 @@ class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
         """Return the observation with the nearest vehicles."""
         from highway_env.vehicle.objects import Obstacle
 
-        car, road = self.unwrapped.vehicle, self.unwrapped.road
+        car = self.unwrapped.vehicle
+        road = self.unwrapped.road
         others = [vehicle for vehicle in road.vehicles if vehicle is not car]
-        # Walls are obstacles with a length of their own.
-        others += [
-            item
-            for item in road.objects
-            if isinstance(item, Obstacle) and item.LENGTH == Obstacle.LENGTH
-        ]
+        for item in road.objects:
+            # Walls are obstacles with a length of their own.
+            if isinstance(item, Obstacle) and item.LENGTH == Obstacle.LENGTH:
+                others.append(item)
         positions = np.array([vehicle.position for vehicle in others]).reshape(1, -1, 2)
         headings = np.array([[vehicle.heading for vehicle in others]])
         seen = nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]
@@ -98,15 +99,15 @@ class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
     def __init__(self, env: gym.Env, low: int, high: int) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, low=low, high=high)
         gym.Wrapper.__init__(self, env)
-        self.low, self.high = low, high
+        self.low = low
+        self.high = high
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         rng = self.unwrapped.np_random if seed is None else gym.utils.seeding.np_random(seed)[0]
-        number = {"vehicles_count": drawn_number(rng.bit_generator, self.low, self.high)}
-        options = options or {}
-        return self.env.reset(
-            seed=seed, options={**options, "config": options.get("config", {}) | number}
-        )
+        number = drawn_number(rng.bit_generator, self.low, self.high)
+        options = dict(options or {})
+        options["config"] = {**options.get("config", {}), "vehicles_count": number}
+        return self.env.reset(seed=seed, options=options)

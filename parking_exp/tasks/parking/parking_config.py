@@ -64,13 +64,11 @@ class ParkingConfig(TaskConfig):
     simulators: ClassVar[tuple[str, ...]] = ("vectorized", "highway_env")
     agent_keys: ClassVar[tuple[str, ...]] = ("observation",)
     training_keys: ClassVar[tuple[str, ...]] = (
-        *(
-            "simulator",
-            "reward",
-            "collision_reward",
-            "training_duration",
-            "training_success_goal_reward",
-        ),
+        "simulator",
+        "reward",
+        "collision_reward",
+        "training_duration",
+        "training_success_goal_reward",
         "observation.vehicles_count",
     )
 
@@ -110,40 +108,35 @@ class ParkingConfig(TaskConfig):
         """Return the config of training envs: `training_duration` and
         `training_success_goal_reward` applied.
         """
-        values = {
-            "duration": self.training_duration,
-            "success_goal_reward": self.training_success_goal_reward,
-        }
-        return self.model_copy(
-            update={key: value for key, value in values.items() if value is not None}
-        )
+        changes = {}
+        if self.training_duration is not None:
+            changes["duration"] = self.training_duration
+        if self.training_success_goal_reward is not None:
+            changes["success_goal_reward"] = self.training_success_goal_reward
+        return self.model_copy(update=changes)
 
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(ENV_ID, config=...)`."""
-        options = self.model_dump(
-            exclude={**dict.fromkeys(OUR_KEYS, True), "observation": {"vehicles_count"}}
-        )
+        options = self.model_dump(exclude=OUR_KEYS)
+        options["observation"] = self.observation.model_dump(exclude={"vehicles_count"})
+        options["action"] = self.action.model_dump(exclude_none=True)
         options["vehicles_count"] = self.vehicles_range[1]
-        options["action"] = {
-            key: value for key, value in options["action"].items() if value is not None
-        }
         return options
 
     @property
     def vehicles_range(self) -> tuple[int, int]:
         """The lowest and the highest number of parked cars of a scene."""
-        low, high = (
-            [self.vehicles_count] * 2
-            if isinstance(self.vehicles_count, int)
-            else self.vehicles_count
-        )
+        if isinstance(self.vehicles_count, int):
+            return self.vehicles_count, self.vehicles_count
+        low, high = self.vehicles_count
         return low, high
 
     def episode_steps(self) -> int:
         """Return the longest episode in policy steps, counted like highway-env does: by adding
         floats.
         """
-        time, steps = 0.0, 0
+        time = 0.0
+        steps = 0
         while time < self.duration:
             time += 1 / self.policy_frequency
             steps += 1
@@ -154,9 +147,8 @@ class ParkingConfig(TaskConfig):
         for name, value in (("features", DEFAULT_FEATURES), ("scales", DEFAULT_SCALES)):
             if getattr(self.observation, name) != value:
                 yield f"env.observation.{name} has one legal value: {value}"
-        if (
-            stricter := self.training_success_goal_reward
-        ) is not None and stricter > self.success_goal_reward:
+        stricter = self.training_success_goal_reward
+        if stricter is not None and stricter > self.success_goal_reward:
             yield (
                 f"env.training_success_goal_reward={stricter} is above env.success_goal_reward="
                 f"{self.success_goal_reward}: agents would learn to stop short of the goal"

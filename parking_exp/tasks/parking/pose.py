@@ -37,7 +37,8 @@ class Pose:
 
         Stricter than highway-env's success, which allows 1.44 m, 33 degrees or any speed.
         """
-        cos, sin = abs(math.cos(self.heading_error_rad)), abs(math.sin(self.heading_error_rad))
+        cos = abs(math.cos(self.heading_error_rad))
+        sin = abs(math.sin(self.heading_error_rad))
         half_length = (CAR_LENGTH_M * cos + CAR_WIDTH_M * sin) / 2
         half_width = (CAR_LENGTH_M * sin + CAR_WIDTH_M * cos) / 2
         return (
@@ -56,7 +57,13 @@ def relative_pose(
     goal_heading: float,
 ) -> Pose:
     """Return the pose of a car relative to its goal slot; positions are (x, y), shape (2,)."""
-    dx, dy = position[0] - goal_position[0], position[1] - goal_position[1]
-    cos, sin = math.cos(goal_heading), math.sin(goal_heading)
+    dx, dy = position - goal_position
+    cos = math.cos(goal_heading)
+    sin = math.sin(goal_heading)
     error = (heading - goal_heading + math.pi) % (2 * math.pi) - math.pi
-    return Pose(float(dx * cos + dy * sin), float(dy * cos - dx * sin), float(error), float(speed))
+    return Pose(
+        ahead_m=float(dx * cos + dy * sin),
+        side_m=float(dy * cos - dx * sin),
+        heading_error_rad=float(error),
+        speed_mps=float(speed),
+    )

@@ -17,9 +17,8 @@ class ParkingReward:
     weights: np.ndarray  # of the features' distances, shape (6,)
     threshold: float  # the dense reward above which a goal counts as reached
     failure_penalty: float  # what a crash adds to the reward
-    sparse: (
-        bool  # the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance
-    )
+    # Whether the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance.
+    sparse: bool
 
     failure_key = "crashed"
     info_keys = ()
@@ -30,9 +29,11 @@ class ParkingReward:
     @classmethod
     def of(cls, config: ParkingConfig) -> Self:
         """Return the reward of an `env` group."""
-        weights = np.array(config.reward_weights, np.float64)
         return cls(
-            weights, -config.success_goal_reward, config.collision_reward, config.reward == "sparse"
+            weights=np.array(config.reward_weights, np.float64),
+            threshold=-config.success_goal_reward,
+            failure_penalty=config.collision_reward,
+            sparse=config.reward == "sparse",
         )
 
     def __call__(
@@ -44,4 +45,6 @@ class ParkingReward:
         # The negative square root of the weighted distance, by a dot product as in highway-env.
         dense: np.ndarray = -np.sqrt(np.vecdot(np.abs(achieved - desired), self.weights))
         reached = dense > self.threshold
-        return (np.where(reached, 0.0, -1.0) if self.sparse else dense), reached
+        if self.sparse:
+            return np.where(reached, 0.0, -1.0), reached
+        return dense, reached

@@ -47,7 +47,8 @@ class Scenes:
         `vehicles_range` are the lowest and the highest number of parked cars, at most 26; see
         `drawn_number`.
         """
-        heading, number = np.empty(len(seeds)), np.empty(len(seeds), np.int64)
+        heading = np.empty(len(seeds))
+        number = np.empty(len(seeds), np.int64)
         slots = np.zeros((len(seeds), 1 + vehicles_range[1]), np.int64)
         obstacles = np.empty((len(seeds), n_obstacles, 2))
         for row, seed in enumerate(seeds):
@@ -129,9 +130,8 @@ def drawn_places(rng: np.random.Generator, n: int) -> np.ndarray:
     places = np.empty((0, 2))
     while len(places) < n:
         candidates = rng.uniform(-AISLE_M, AISLE_M, (n, 2))
-        places = np.concatenate(
-            [places, candidates[np.sqrt((candidates**2).sum(axis=1)) > START_M]]
-        )
+        distance = np.sqrt((candidates**2).sum(axis=1))
+        places = np.concatenate([places, candidates[distance > START_M]])
     return places[:n]
 
 

@@ -26,7 +26,9 @@ from parking_exp.tasks.parking.geometry import (
 )
 from parking_exp.tasks.parking.simulator.scene_state import SceneState
 
-ALONG, ACROSS = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, 0.5, -0.5])
+# Of the corners of a rectangle, in its length and its width.
+ALONG = np.array([-0.5, -0.5, 0.5, 0.5])
+ACROSS = np.array([-0.5, 0.5, 0.5, -0.5])
 NEXT_CORNER = np.array([1, 2, 3, 0])
 WALL_SIDES = np.array([1, 3, 0, 2])  # of the directions left, below, right, above
 WALL_DISTANCES = np.linalg.norm(WALL_POSITIONS, axis=1) - WALL_THICKNESS_M / 2
@@ -140,14 +142,19 @@ class Collisions:
     """
 
     def __init__(self, dt: float, count: int, n_obstacles: int, *, walls: bool) -> None:
-        self.dt, self.count, self.n_obstacles, self.walls = dt, count, n_obstacles, walls
-        first_obstacle = count + len(WALL_LENGTHS)
-        others = [
-            *range(first_obstacle if walls else count),
-            *range(first_obstacle, first_obstacle + n_obstacles),
-        ]
-        pairs = [(first, second) for first in range(count) for second in others if second > first]
-        self._pairs = np.array(pairs, int).reshape(-1, 2)
+        self.dt = dt
+        self.count = count
+        self.n_obstacles = n_obstacles
+        self.walls = walls
+        self._first_obstacle = count + len(WALL_LENGTHS)
+        n_targets = self._first_obstacle + n_obstacles
+        first, second = np.triu_indices(count, k=1, m=n_targets)
+        if not walls:
+            is_wall = (second >= count) & (second < self._first_obstacle)
+            first = first[~is_wall]
+            second = second[~is_wall]
+        # Of what parked cars can hit, shape (pairs, 2).
+        self._pairs = np.stack([first, second], axis=1)
         diagonals = (
             np.full(count, CAR_DIAGONAL_M),
             WALL_DIAGONALS,
@@ -162,105 +169,113 @@ class Collisions:
         self._resolve_cars(state)
         # Parked cars stand apart until one of them is pushed.
         if state.disturbed.any():
-            self._resolve_vehicles(state)
+            self._resolve_parked_cars(state)
 
     def _resolve_cars(self, state: SceneState) -> None:
         scene, target = self._near_cars(state)
         if not len(scene):
             return
         polygons = np.empty((len(scene), 2, 4, 2))
+        position = state.position.take(scene, axis=1)
         direction = state.direction.take(scene, axis=1)
-        polygons[:, 0] = corners(
-            state.position.take(scene, axis=1).T, direction.T, CAR_LENGTH_M, CAR_WIDTH_M
-        )
+        polygons[:, 0] = corners(position.T, direction.T, CAR_LENGTH_M, CAR_WIDTH_M)
         polygons[:, 1] = self._corners(state, scene, target)
-        now, soon, push = separating_axis(polygons, (state.speed[scene] * direction).T * self.dt)
+        displacement = (state.speed[scene] * direction).T * self.dt
+        now, soon, push = separating_axis(polygons, displacement)
         state.crashed[scene[now]] = True
         if soon.any():
-            self._push(state, scene[soon], target[soon], push[soon])
+            self._push_cars(state, scene[soon], target[soon], push[soon])
 
-    def _push(
+    def _push_cars(
         self, state: SceneState, scene: np.ndarray, target: np.ndarray, push: np.ndarray
     ) -> None:
         """Set impacts: walls and obstacles push all the way out, parked cars half, and are pushed
         as far themselves.
         """
         if self.count:
-            cars = target < self.count
-            push[cars] /= 2
-            pushed = scene[cars], 1 + target[cars]
-            state.hit[pushed] = True
-            state.impact[pushed] = -push[cars]
-            state.disturbed[pushed[0]] = True
-        state.hit[scene, 0] = True
-        state.impact[scene, 0] = push
+            is_vehicle = target < self.count
+            push[is_vehicle] /= 2
+            state.disturbed[scene[is_vehicle]] = True
+            _set_impacts(state, scene[is_vehicle], 1 + target[is_vehicle], -push[is_vehicle])
+        _set_impacts(state, scene, 0, push)
 
-    def _resolve_vehicles(self, state: SceneState) -> None:
-        rows = np.flatnonzero(state.disturbed)
-        walls = np.tile(WALL_POSITIONS, (len(rows), 1, 1))
-        positions = np.concatenate([state.vehicles[rows], walls, state.obstacles[rows]], axis=1)
+    def _resolve_parked_cars(self, state: SceneState) -> None:
+        scene, pair = self._near_pairs(state)
+        if not len(scene):
+            return
+        scenes = np.stack([scene, scene], axis=1)
+        targets = self._pairs[pair]
+        polygons = self._corners(state, scenes.ravel(), targets.ravel()).reshape(-1, 2, 4, 2)
+        _, soon, push = separating_axis(polygons, np.zeros((len(pair), 2)))
+
+        scenes = scenes[soon]
+        targets = targets[soon]
+        push = push[soon]
+        is_vehicle = targets < self.count
+        push[is_vehicle[:, 1]] /= 2
+        # Pair by pair, since the last push of a frame counts.
+        pushes = np.stack([push, -push], axis=1)
+        _set_impacts(state, scenes[is_vehicle], 1 + targets[is_vehicle], pushes[is_vehicle])
+
+    def _near_pairs(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
+        """Return scenes, and numbers of the pairs in them of which a parked car may touch the
+        other.
+        """
+        disturbed = np.flatnonzero(state.disturbed)
+        walls = np.tile(WALL_POSITIONS, (len(disturbed), 1, 1))
+        parts = [state.vehicles[disturbed], walls, state.obstacles[disturbed]]
+        positions = np.concatenate(parts, axis=1)
         first, second = self._pairs.T
         offset = positions[:, second] - positions[:, first]
-        row, pair = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, self._diagonals[second], 0.0))
-        if not len(row):
-            return
-        scenes, targets = rows[row].repeat(2), self._pairs[pair]
-        polygons = self._corners(state, scenes, targets.ravel()).reshape(-1, 2, 4, 2)
-        _, soon, push = separating_axis(polygons, np.zeros((len(row), 2)))
-        targets, push = targets[soon], push[soon]
-        cars = targets < self.count
-        push[cars[:, 1]] /= 2
-        pushed = scenes.reshape(-1, 2)[soon][cars], 1 + targets[cars]
-        state.hit[pushed] = True
-        state.impact[pushed] = np.stack([push, -push], axis=1)[cars]
+        apart = out_of_reach(offset, CAR_DIAGONAL_M, self._diagonals[second], 0.0)
+        row, pair = np.nonzero(~apart)
+        return disturbed[row], pair
 
     def _corners(self, state: SceneState, scene: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the corners of what can be hit, shape (n, 4, 2)."""
-        wall = target - self.count
-        target_corners: np.ndarray = WALL_CORNERS.take(
-            np.clip(wall, 0, len(WALL_LENGTHS) - 1), axis=0
-        )
+        wall = np.clip(target - self.count, 0, len(WALL_LENGTHS) - 1)
+        target_corners: np.ndarray = WALL_CORNERS.take(wall, axis=0)
         if self.n_obstacles:
-            placed = wall >= len(WALL_LENGTHS)
-            places = state.obstacles[scene[placed], wall[placed] - len(WALL_LENGTHS)]
-            target_corners[placed] = corners(
-                places, np.tile([1.0, 0.0], (len(places), 1)), OBSTACLE_M, OBSTACLE_M
-            )
+            is_obstacle = target >= self._first_obstacle
+            number = target[is_obstacle] - self._first_obstacle
+            places = state.obstacles[scene[is_obstacle], number]
+            direction = np.tile([1.0, 0.0], (len(places), 1))
+            target_corners[is_obstacle] = corners(places, direction, OBSTACLE_M, OBSTACLE_M)
         if self.count:
-            cars = wall < 0
-            which = scene[cars], target[cars]
-            heading = state.vehicle_heading[which]
+            is_vehicle = target < self.count
+            index = scene[is_vehicle], target[is_vehicle]
+            heading = state.vehicle_heading[index]
             direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-            target_corners[cars] = corners(
-                state.vehicles[which], direction, CAR_LENGTH_M, CAR_WIDTH_M
+            target_corners[is_vehicle] = corners(
+                state.vehicles[index], direction, CAR_LENGTH_M, CAR_WIDTH_M
             )
         return target_corners
 
     def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
         """Return scenes and numbers of what the cars may touch, in highway-env's order."""
         travel = state.speed * self.dt
-        at_wall, wall = self._near_walls(state, travel)
-        scenes, numbers = [at_wall], [self.count + wall]
+        scenes = []
+        targets = []
         if self.count:
-            offset = state.vehicles - state.position.T[:, None]
-            scene, car = np.nonzero(
-                ~out_of_reach(offset, CAR_DIAGONAL_M, CAR_DIAGONAL_M, travel[:, None])
-            )
-            scenes, numbers = [scene, *scenes], [car, *numbers]
+            scene, vehicle = _within_reach(state, state.vehicles, CAR_DIAGONAL_M, travel)
+            scenes.append(scene)
+            targets.append(vehicle)
+        scene, wall = self._near_walls(state, travel)
+        scenes.append(scene)
+        targets.append(self.count + wall)
         if self.n_obstacles:
-            offset = state.obstacles - state.position.T[:, None]
-            scene, number = np.nonzero(
-                ~out_of_reach(offset, CAR_DIAGONAL_M, OBSTACLE_DIAGONAL_M, travel[:, None])
-            )
-            scenes, numbers = [*scenes, scene], [*numbers, self.count + len(WALL_LENGTHS) + number]
-        return np.concatenate(scenes), np.concatenate(numbers)
+            scene, obstacle = _within_reach(state, state.obstacles, OBSTACLE_DIAGONAL_M, travel)
+            scenes.append(scene)
+            targets.append(self._first_obstacle + obstacle)
+        return np.concatenate(scenes), np.concatenate(targets)
 
     def _near_walls(self, state: SceneState, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self.walls:
             return np.empty(0, int), np.empty(0, int)
         # The circles around the walls cover most of the lot: first drop cars that cannot reach the
         # line of a wall.
-        reach, motion = extent(state.direction) + 1e-9, travel * state.direction
+        reach = extent(state.direction) + 1e-9
+        motion = travel * state.direction
         left_below = reach - state.position - np.minimum(motion, 0)
         right_above = reach + state.position + np.maximum(motion, 0)
         outward = np.concatenate((left_below, right_above))[WALL_SIDES]
@@ -268,3 +283,23 @@ class Collisions:
         offset = WALL_POSITIONS.take(wall, axis=0) - state.position.take(scene, axis=1).T
         near = ~out_of_reach(offset, CAR_DIAGONAL_M, WALL_DIAGONALS[wall], travel[scene])
         return scene[near], wall[near]
+
+
+def _within_reach(
+    state: SceneState, places: np.ndarray, diagonal: float, travel: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return scenes, and numbers of the places in them, shape (n, places, 2), that the cars may
+    touch.
+    """
+    offset = places - state.position.T[:, None]
+    apart = out_of_reach(offset, CAR_DIAGONAL_M, diagonal, travel[:, None])
+    scene, number = np.nonzero(~apart)
+    return scene, number
+
+
+def _set_impacts(
+    state: SceneState, scene: np.ndarray, vehicle: np.ndarray | int, impact: np.ndarray
+) -> None:
+    """Set by how much vehicles are displaced in the next frame; number 0 is the car itself."""
+    state.hit[scene, vehicle] = True
+    state.impact[scene, vehicle] = impact

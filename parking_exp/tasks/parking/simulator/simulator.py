@@ -56,7 +56,8 @@ class Simulator:
         self._low = np.array([low for low, _ in ranges])
         self._span = np.array([high - low for low, high in ranges])
         low, high = action.speed_range or SPEED_RANGE_MPS
-        self.speed_range, self.clip = (low, high), action.clip
+        self.speed_range = (low, high)
+        self.clip = action.clip
         self.frames = config.simulation_frequency // config.policy_frequency
         self.dt = 1 / config.simulation_frequency
         self.episode_steps = config.episode_steps()
@@ -66,7 +67,8 @@ class Simulator:
         self.scales = np.array(DEFAULT_SCALES, np.float64)
         slots = np.zeros((len(SLOT_HEADINGS), len(DEFAULT_FEATURES)))
         slots[:, :2] = SLOT_POSITIONS
-        slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
+        slots[:, 4] = np.cos(SLOT_HEADINGS)
+        slots[:, 5] = np.sin(SLOT_HEADINGS)
         self._slot_goals = slots / self.scales
         self._collisions = Collisions(
             self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls
@@ -93,23 +95,25 @@ class Simulator:
 
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
         """Return the observation of all scenes, or of some."""
-        state, pose = self.state, self._pose(rows)
-        observed = np.divide(pose, self.scales, order="C")
-        goals = {
-            "achieved_goal": observed.copy(),
-            "desired_goal": self._slot_goals[state.goal[rows]],
-        }
+        pose = self._pose(rows)
+        scaled = np.divide(pose, self.scales, order="C")
+        observed = scaled
         if self.n_seen:
-            others, heading = state.vehicles[rows], state.vehicle_heading[rows]
-            if state.obstacles.shape[1]:
-                others = np.concatenate([others, state.obstacles[rows]], axis=1)
-                heading = np.concatenate(
-                    [heading, np.zeros((len(pose), state.obstacles.shape[1]))], axis=1
-                )
-            observed = np.concatenate(
-                [observed, nearest_vehicles(pose[:, :2], others, heading, self.n_seen)], axis=1
-            )
-        return {"observation": observed, **goals}
+            observed = np.concatenate([scaled, self._observe_vehicles(pose, rows)], axis=1)
+        return {
+            "observation": observed,
+            "achieved_goal": scaled.copy(),
+            "desired_goal": self._slot_goals[self.state.goal[rows]],
+        }
+
+    def _observe_vehicles(self, pose: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
+        """Return what the cars see of parked cars and obstacles."""
+        state = self.state
+        obstacles = state.obstacles[rows]
+        others = np.concatenate([state.vehicles[rows], obstacles], axis=1)
+        headings = [state.vehicle_heading[rows], np.zeros(obstacles.shape[:2])]
+        heading = np.concatenate(headings, axis=1)
+        return nearest_vehicles(pose[:, :2], others, heading, self.n_seen)
 
     def step(self, actions: np.ndarray) -> Step:
         """Drive all scenes for one policy step; actions have the shape (n, 2): acceleration, then
@@ -121,15 +125,15 @@ class Simulator:
             actions = actions.astype(np.float64)
         assert actions.shape == (len(self), 2), f"actions have the shape {actions.shape}"
         acceleration, steering = self._controls(actions)
-        before = state.position, state.heading, state.speed
+        position = state.position
+        heading = state.heading
+        speed = state.speed
         rows = self._drive(acceleration, steering)
         if len(rows):
             part = state.take(rows)
-            part.position, part.heading, part.speed = (
-                before[0][:, rows],
-                before[1][rows],
-                before[2][rows],
-            )
+            part.position = position[:, rows]
+            part.heading = heading[rows]
+            part.speed = speed[rows]
             self._drive_by_frames(part, acceleration[rows], steering[rows])
             state.put(rows, part)
         state.steps += 1
@@ -137,7 +141,8 @@ class Simulator:
 
     def ending(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""
-        state, goal = self.state, self.state.goal[row]
+        state = self.state
+        goal = state.goal[row]
         return relative_pose(
             state.position[:, row],
             state.heading[row],
@@ -175,7 +180,9 @@ class Simulator:
         may be wrong.
         """
         state = self.state
-        position, heading, speed = state.position, state.heading, state.speed
+        position = state.position
+        heading = state.heading
+        speed = state.speed
         slip = slip_angle(steering)
         sin_slip = np.sin(slip)
         gain = acceleration * self.dt
@@ -187,15 +194,26 @@ class Simulator:
             if self.walls:
                 np.maximum(farthest, np.abs(position), out=farthest)
 
-        before = state.speed
-        state.position, state.heading, state.speed, state.direction = (
-            position,
-            heading,
-            speed,
-            _direction(heading),
-        )
+        slowest = np.minimum(state.speed, speed)
+        fastest = np.maximum(state.speed, speed)
+        state.position = position
+        state.heading = heading
+        state.speed = speed
+        state.direction = _direction(heading)
+        return np.flatnonzero(self._uncertain(slowest, fastest, farthest, sin_slip))
+
+    def _uncertain(
+        self, slowest: np.ndarray, fastest: np.ndarray, farthest: np.ndarray, sin_slip: np.ndarray
+    ) -> np.ndarray:
+        """Return a mask of the scenes in which a car may have been too fast or touched something.
+
+        Args:
+            slowest, fastest: the lowest and the highest speed of each car in the step, shape (n,).
+            farthest: its largest distances from the middle of the lot, shape (2, n).
+            sin_slip: sine of the `slip_angle`, shape (n,).
+        """
+        state = self.state
         low, high = self.speed_range
-        slowest, fastest = np.minimum(before, speed), np.maximum(before, speed)
         uncertain = state.crashed | state.hit[:, 0]
         uncertain |= slowest < low
         uncertain |= fastest > high
@@ -212,21 +230,15 @@ class Simulator:
         if state.vehicles.shape[1]:
             uncertain |= self._near_vehicles(reach_m)
         if state.obstacles.shape[1]:
-            offset = state.obstacles - state.position.T[:, None]
-            uncertain |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach_m[:, None] ** 2).any(
-                axis=1
-            )
-        return np.flatnonzero(uncertain)
+            uncertain |= _any_within(reach_m, state.position, state.obstacles)
+        return uncertain
 
     def _near_vehicles(self, reach: np.ndarray) -> np.ndarray:
         """Return a mask of the scenes where a parked car is near, or has been moved."""
         state = self.state
         near: np.ndarray = state.disturbed.copy()
         close = np.flatnonzero(np.abs(state.position[1]) + reach > ROW_M)
-        offset = state.vehicles[close] - state.position[:, close].T[:, None, :]
-        near[close] |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[close, None] ** 2).any(
-            axis=1
-        )
+        near[close] |= _any_within(reach[close], state.position[:, close], state.vehicles[close])
         return near
 
     def _drive_by_frames(
@@ -268,12 +280,14 @@ class Simulator:
         """Return x, y, vx, vy, cos_h, sin_h of the cars, shape (n, 6), in m and m/s."""
         state = self.state
         pose = np.empty((6, len(state.heading[rows])))
-        pose[:2], pose[4:] = state.position[:, rows], state.direction[:, rows]
+        pose[:2] = state.position[:, rows]
+        pose[4:] = state.direction[:, rows]
         np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
         return pose.T
 
     def _outcome(self) -> Step:
-        state, observation = self.state, self.observe()
+        state = self.state
+        observation = self.observe()
         reward, success = self.reward(observation["achieved_goal"], observation["desired_goal"])
         crashed = state.crashed.copy()
         return Step(
@@ -284,6 +298,16 @@ class Simulator:
             failed=crashed,
             is_success=success,
         )
+
+
+def _any_within(reach: np.ndarray, position: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return whether any of the places, shape (n, places, 2), is within a car's reach, shape
+    (n,).
+    """
+    offset = places - position.T[:, None]
+    squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
+    within: np.ndarray = (squared < reach[:, None] ** 2).any(axis=1)
+    return within
 
 
 def _direction(heading: np.ndarray) -> np.ndarray:
