@@ -105,12 +105,16 @@ def fail(error: ParkingError) -> NoReturn:
     """Print an error's sentences, and exit with its status."""
     if os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
-    prefix = "" if isinstance(error, InterruptedRunError) else "error: "
+    prefix = "error: "
+    status = 2
+    if isinstance(error, InterruptedRunError):
+        prefix = ""
+        status = 128 + error.signal_number
     # Only the lines of a ConfigError are ours; in others, line breaks come from names or libraries.
     text = str(error).strip()
     lines = text.split("\n") if isinstance(error, ConfigError) else [text]
     say(*(f"{prefix}{line}" for line in lines), stderr=True)
-    sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
+    sys.exit(status)
 
 
 def _print_help(config_name: str, overrides: list[str]) -> None:
@@ -119,11 +123,10 @@ def _print_help(config_name: str, overrides: list[str]) -> None:
     """
     sys.argv[1:] = ["--help", *overrides]
     output = io.StringIO()
+    hydra_app = hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)
     try:
         with redirect_stdout(output):
-            hydra.main(str(config_dir()), config_name, VERSION_BASE)(
-                lambda config: None
-            )()  # it exits
+            hydra_app()  # it exits
     finally:
         text = output.getvalue()
         if not is_script():

@@ -69,7 +69,11 @@ def read_overrides(words: list[str]) -> list[str]:
             raise ConfigError(
                 f"{word}: choose an option by env=NAME, and change its keys by env.KEY=VALUE"
             )
-    changes = ["algorithm."]
+    changed_sections = ["algorithm."]
     if not has_option:
-        changes.append("env.")
-    return [f"++{word}" if word.startswith(tuple(changes)) else word for word in words]
+        changed_sections.append("env.")
+    overrides = []
+    for word in words:
+        is_change = word.startswith(tuple(changed_sections))
+        overrides.append(f"++{word}" if is_change else word)
+    return overrides

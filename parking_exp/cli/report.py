@@ -37,26 +37,28 @@ def read_overrides(words: list[str]) -> list[str]:
 
     Labels of cells have commas, equal signs and spaces, which have another meaning for Hydra.
     """
-    overrides, cells = [], []
+    overrides = []
+    labels = []
     for word in words:
         key, equals, value = word.partition("=")
         if key == "experiment" and equals and value != "null":
-            overrides.append(
-                f"{key}={_quote_list(value.removeprefix('[').removesuffix(']').split(','))}"
-            )
+            names = value.removeprefix("[").removesuffix("]").split(",")
+            overrides.append(f"{key}={_quote_list(names)}")
         elif key in {"baseline", "contrast", "from", "export"} and value not in {"", "null"}:
             overrides.append(f"{key}={in_quotes(without_quotes(value))}")
         elif key == "cells" and equals and value != "null" and not value.startswith("["):
-            cells += _split_labels(value)
+            labels += _split_labels(value)
         elif key == "cells" and equals:
             overrides.append(f"{key}={numbers_as_text(value)}")
         elif re.split(r"[./]", key.lstrip("+~"))[0] in {*KEYS, "hydra"}:
             overrides.append(word)
         else:
-            cells += [word] if equals else _split_labels(word)
-    if cells and any(override.startswith("cells=") for override in overrides):
-        raise ConfigError(f"{cells[0]}: name cells either as words or as cells=[...]")
-    return rename_experiment([*overrides, f"cells={_quote_list(cells)}"] if cells else overrides)
+            labels += [word] if equals else _split_labels(word)
+    if labels:
+        if any(override.startswith("cells=") for override in overrides):
+            raise ConfigError(f"{labels[0]}: name cells either as words or as cells=[...]")
+        overrides.append(f"cells={_quote_list(labels)}")
+    return rename_experiment(overrides)
 
 
 def _quote_list(values: list[str]) -> str:

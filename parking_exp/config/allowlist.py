@@ -3,7 +3,7 @@
 Only names are compared: nothing is imported.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,8 @@ def check_trust(config: RunConfig, source: Path, option: str = "trust=true") -> 
     Raises:
         UntrustedError: a class or `_target_` is not on the list.
     """
-    if (unlisted := unlisted_class(config)) is not None:
+    unlisted = unlisted_class(config)
+    if unlisted is not None:
         raise UntrustedError(
             f"{unlisted} in {source} is not on the allow-list, and the run was not trained here; "
             f"{option} allows it, "
@@ -73,8 +74,11 @@ def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield what nested containers would import, with its key: each `_target_` and each class
     argument.
     """
-    is_sequence = isinstance(node, list | tuple | set)
-    children = node.items() if isinstance(node, Mapping) else enumerate(node) if is_sequence else ()
+    children: Iterable[tuple[Any, Any]] = ()
+    if isinstance(node, Mapping):
+        children = node.items()
+    elif isinstance(node, list | tuple | set):
+        children = enumerate(node)
     for name, value in children:
         path = f"{key}.{name}" if key else str(name)
         if name == "_target_":

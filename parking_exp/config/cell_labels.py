@@ -20,7 +20,8 @@ Config = Mapping[str, Setting]
 """Dotted keys -> values of one cell."""
 
 GROUPS = ("env", "algorithm", "buffer")
-EXPERIMENT, LABEL = "experiment", "label"
+EXPERIMENT = "experiment"
+LABEL = "label"
 FEW_CELLS = 5  # with fewer, values that all differ need not have been drawn from a range
 
 
@@ -81,8 +82,12 @@ def can_matter(key: str) -> bool:
 
 def differing_keys(configs: Sequence[Config]) -> list[str]:
     """Return the keys that can change a result and differ between configs."""
-    keys = sorted({key for config in configs for key in config if can_matter(key)})
-    return [key for key in keys if len({hashable(config.get(key)) for config in configs}) > 1]
+    differing = []
+    for key in sorted(set().union(*configs)):
+        values = {hashable(config.get(key)) for config in configs}
+        if can_matter(key) and len(values) > 1:
+            differing.append(key)
+    return differing
 
 
 def find_factors(
@@ -99,8 +104,8 @@ def find_factors(
     _add_key_columns(columns, varying, configs)
     factors = [_factor(key, values, columns) for key, values in columns.items()]
     settings = []
-    for cell in range(len(configs)):
-        settings.append({key: values[cell] for key, values in columns.items()})
+    for number in range(len(configs)):
+        settings.append({key: values[number] for key, values in columns.items()})
     return factors, settings
 
 
@@ -149,13 +154,13 @@ def _rank(key: str) -> tuple[bool, bool]:
 
 
 def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple[str, str], str]:
-    """Return the label of each cell within its experiment, given configs by (experiment, cell)."""
+    """Return the label of each cell within its experiment, given configs by (experiment, name)."""
     labels: dict[tuple[str, str], str] = {}
     for experiment in dict.fromkeys(experiment for experiment, _ in configs):
-        cells = [key for key in configs if key[0] == experiment]
-        names = [cell for _, cell in cells]
-        texts = label_cells([configs[key] for key in cells], names)
-        labels |= zip(cells, texts, strict=True)
+        keys = [key for key in configs if key[0] == experiment]
+        names = [name for _, name in keys]
+        texts = label_cells([configs[key] for key in keys], names)
+        labels |= zip(keys, texts, strict=True)
     return labels
 
 
@@ -180,20 +185,22 @@ def labels_from_factors(
 
     Equal ones get the key at the end of the cell's name.
     """
-    texts = [label_factors(factors, cell) for cell in settings]
+    texts = [label_factors(factors, values) for values in settings]
     labels = []
     for text, name in zip(texts, names, strict=True):
-        option, _, key = name.rpartition("-")
-        is_unique = text != "" and texts.count(text) == 1
-        labels.append(text if is_unique else f"{text or option} ({key})")
+        if text and texts.count(text) == 1:
+            labels.append(text)
+        else:
+            option, _, key = name.rpartition("-")
+            labels.append(f"{text or option} ({key})")
     return labels
 
 
-def label_factors(factors: Sequence[Factor], cell: Mapping[str, Setting]) -> str:
+def label_factors(factors: Sequence[Factor], settings: Mapping[str, Setting]) -> str:
     """Return the values of a cell's factors, e.g. `her_final, n_sampled_goal=8`."""
     parts = []
     for factor in factors:
-        value = cell[factor.key]
+        value = settings[factor.key]
         if value is None:
             continue
         is_option = factor.key in (*GROUPS, EXPERIMENT, LABEL)
@@ -252,8 +259,10 @@ def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -
     with this option.
     """
     options = [config.get(f"{key.partition('.')[0]}.name") for config in configs]
-    having = [option for option, value in zip(options, values, strict=True) if value is not None]
-    return [
-        "null" if v is None and option in having else v
-        for option, v in zip(options, values, strict=True)
-    ]
+    pairs = list(zip(options, values, strict=True))
+    having = [option for option, value in pairs if value is not None]
+    shown: list[Setting] = []
+    for option, value in pairs:
+        is_null = value is None and option in having
+        shown.append("null" if is_null else value)
+    return shown

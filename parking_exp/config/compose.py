@@ -223,7 +223,9 @@ def _pop_seeds(axes: dict[str, list[str]], default: Any) -> list[int] | None:
     values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
     if not values:
         return seeds_of(default)
-    return seeds_of(values[0] if len(values) == 1 else values)
+    if len(values) == 1:
+        return seeds_of(values[0])
+    return seeds_of(values)
 
 
 def _container(node: object) -> Any:

@@ -192,9 +192,8 @@ def _check_target(
     if base is not None and not (isinstance(call, type) and issubclass(call, import_object(base))):
         yield f"{assignment} is not a subclass of {base}"
     elif isinstance(value, Mapping):
-        yield from _check_call(
-            key, call, given, partial=partial or bool(value.get("_partial_")) or "_args_" in value
-        )
+        gets_more = partial or bool(value.get("_partial_")) or "_args_" in value
+        yield from _check_call(key, call, given, partial=gets_more)
 
 
 def _check_call(
@@ -259,13 +258,14 @@ def _check_value(
     if value is None and (NoneType in types or name in NULLABLE):
         return
     is_plain = all(part in PLAIN_TYPES or get_origin(part) is Literal for part in types)
-    limit = limits.get(name, annotation if is_plain else Any)
+    limit = limits.get(name)
+    if limit is None:
+        limit = annotation if is_plain else Any
     try:
         TypeAdapter(limit, config=STRICT).validate_python(value)
     except ValidationError as error:
-        reasons = [
-            problem["msg"].removeprefix("Value error, ").lower() for problem in error.errors()
-        ]
+        messages = [problem["msg"] for problem in error.errors()]
+        reasons = [message.removeprefix("Value error, ").lower() for message in messages]
         yield f"{key}={value!r}: {' or '.join(reasons)}"
 
 

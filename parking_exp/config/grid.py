@@ -15,7 +15,9 @@ from parking_exp.errors import ConfigError, suggestion
 Block = Mapping[str, Any]
 Point = tuple[str, ...]
 """The overrides of a cell."""
-MAX_CELLS, MAX_SEEDS, MAX_RUNS = 10_000, 100_000, 100_000
+MAX_CELLS = 10_000
+MAX_SEEDS = 100_000
+MAX_RUNS = 100_000
 
 
 def expand_points(
@@ -43,16 +45,16 @@ def expand_points(
     listed = _listed_values(blocks)
     if blocks:
         _check_labels(axes.get("label", []), listed.get("label", set()), experiment)
-    swept = {key for block in blocks for key, value in block.items() if isinstance(value, list)}
-    cells: dict[Point, None] = {}
+    points: dict[Point, None] = {}
     for block in blocks or [{}]:
         lines = []
         for key, value in block.items():
             values = _values(value)
             if key in axes:
-                is_replaceable = isinstance(value, list) or key not in swept
-                replacing = set(axes[key]) - listed[key] if is_replaceable else set()
-                values = [item for item in axes[key] if item in values or item in replacing]
+                selectable = set(values)
+                if isinstance(value, list) or not _is_swept(key, blocks):
+                    selectable |= set(axes[key]) - listed[key]
+                values = [item for item in axes[key] if item in selectable]
             lines.append([_override(key, item) for item in values])
         if not all(lines):
             continue
@@ -61,13 +63,18 @@ def expand_points(
         for key, values in axes.items():
             if key not in block and (key not in listed or has(key, first)):
                 lines.append([_override(key, item) for item in values])
-        if len(cells) + math.prod(map(len, lines)) > MAX_CELLS:
+        if len(points) + math.prod(map(len, lines)) > MAX_CELLS:
             raise ConfigError(f"a sweep has at most {MAX_CELLS} cells")
-        cells |= dict.fromkeys(itertools.product(*lines))
-    if not cells:
+        points |= dict.fromkeys(itertools.product(*lines))
+    if not points:
         narrowed = " ".join(f"{key}={','.join(axes[key])}" for key in axes if key in listed)
         raise ConfigError(f"{narrowed}: experiment={experiment} has no such cell")
-    return list(cells)
+    return list(points)
+
+
+def _is_swept(key: str, blocks: Sequence[Block]) -> bool:
+    """Return whether any block gives a key a list of values."""
+    return any(isinstance(block.get(key), list) for block in blocks)
 
 
 def _listed_values(blocks: Sequence[Block]) -> dict[str, set[str]]:

@@ -92,9 +92,8 @@ def numbers_as_text(value: str) -> str:
         if match[1] or not word:
             return match[0]
         with suppress(HydraException, ValueError):
-            if isinstance(
-                OverridesParser.create().parse_override(f"label={word}").value(), int | float
-            ):
+            override = OverridesParser.create().parse_override(f"label={word}")
+            if isinstance(override.value(), int | float):
                 return in_quotes(word)
         return match[0]
 
@@ -113,13 +112,10 @@ def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
             values = list(override.sweep_string_iterator())
         if not values:
             raise ConfigError(f"{override.input_line}: there are no values to sweep over")
-        if (
-            override.key_or_group == "label"
-        ):  # to be found in the cells of an experiment, which have no escapes
-            values = [
-                _label(label)
-                for label in parse_overrides(f"label={numbers_as_text(value)}" for value in values)
-            ]
+        if override.key_or_group == "label":
+            # As the cells of an experiment have them, without escapes.
+            labels = parse_overrides(f"label={numbers_as_text(value)}" for value in values)
+            values = [_label(label) for label in labels]
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")

@@ -85,8 +85,11 @@ def relative(uri: str, base: Path) -> str:
 
 def relative_path(path: Path, base: Path) -> str:
     """Return a path relative to a base directory if it is below it, else the absolute path."""
-    path, base = directory_path(path), directory_path(base)
-    return str(path.relative_to(base) if path.is_relative_to(base) else path)
+    path = directory_path(path)
+    base = directory_path(base)
+    if path.is_relative_to(base):
+        path = path.relative_to(base)
+    return str(path)
 
 
 def database(uri: str) -> Path | None:
@@ -104,8 +107,11 @@ def local_folder(uri: str) -> Path | None:
 
 def is_same_store(uri: str, other_uri: str) -> bool:
     """Return whether two URIs name the same store."""
-    file, other = database(uri), database(other_uri)
-    return uri == other_uri if file is None or other is None else resolved(file) == resolved(other)
+    file = database(uri)
+    other_file = database(other_uri)
+    if file is None or other_file is None:
+        return uri == other_uri
+    return resolved(file) == resolved(other_file)
 
 
 def resolved(path: Path) -> Path:

@@ -24,22 +24,15 @@ def changes_results(key: str) -> bool:
 
 def result_part(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return a nested config without the keys that change no result."""
-    return {
-        name: result_part(value, f"{prefix}{name}.") if isinstance(value, Mapping) else value
-        for name, value in config.items()
-        if changes_results(f"{prefix}{name}")
-    }
-
-
-def trained_part(config: Mapping[str, Any], evaluation: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys that can change the training or its learning curve: what run keys hash.
-
-    Args:
-        config: keys that differ from their defaults; a new key keeps the hashes of older runs.
-        evaluation: all keys of `evaluation` that the training itself uses.
-    """
-    part = result_part(config)
-    part["evaluation"] = evaluation
+    part: dict[str, Any] = {}
+    for name, value in config.items():
+        key = f"{prefix}{name}"
+        if not changes_results(key):
+            continue
+        if isinstance(value, Mapping):
+            part[name] = result_part(value, f"{key}.")
+        else:
+            part[name] = value
     return part
 
 

@@ -29,7 +29,7 @@ from parking_exp.config.paths import (
     refuse_password,
     refuse_question_mark,
 )
-from parking_exp.config.run_key import short_hash, trained_part
+from parking_exp.config.run_key import result_part, short_hash
 from parking_exp.config_model import (
     MAX_ENVS,
     ConfigModel,
@@ -231,13 +231,15 @@ class RunConfig(OutputConfig):
         return short_hash(self._trained_part())
 
     def _trained_part(self) -> dict[str, Any]:
-        config = self.model_dump(by_alias=True, exclude_defaults=True)
-        evaluation = self.evaluation.model_dump(exclude=FINAL_EVALUATION)
-        return trained_part(config, evaluation)
+        """Return the keys that can change the training or its learning curve."""
+        # Without defaults: a new key keeps the hashes of older runs.
+        part = result_part(self.model_dump(by_alias=True, exclude_defaults=True))
+        part["evaluation"] = self.evaluation.model_dump(exclude=FINAL_EVALUATION)
+        return part
 
     @property
-    def cell(self) -> str:
-        """Readable and unique name of this config without its seed."""
+    def cell_name(self) -> str:
+        """Readable and unique name of the cell, this config without its seed."""
         return f"{self.options}-{self.cell_key}"
 
     @property
@@ -248,7 +250,7 @@ class RunConfig(OutputConfig):
     @property
     def run_dir(self) -> Path:
         """Absolute run directory."""
-        return self.output_path / self.experiment_name / self.cell / f"seed={self.seed}"
+        return self.output_path / self.experiment_name / self.cell_name / f"seed={self.seed}"
 
     @property
     def n_certified(self) -> int:
@@ -258,11 +260,13 @@ class RunConfig(OutputConfig):
         A task with one simulator has none to compare it with. 0 of the others: there is no
         cross-check.
         """
-        n_final, simulators = self.evaluation.final_n_scenes, self.env.simulators
+        simulators = self.env.simulators
         if len(simulators) == 1:
             return 0
-        is_reference = self.env.simulator == simulators[-1]
-        return n_final if is_reference else min(self.evaluation.n_certified_scenes, n_final)
+        n_final = self.evaluation.final_n_scenes
+        if self.env.simulator == simulators[-1]:
+            return n_final
+        return min(self.evaluation.n_certified_scenes, n_final)
 
     @property
     def final_settings(self) -> dict[str, int]:

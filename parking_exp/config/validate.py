@@ -32,8 +32,9 @@ def refuse(problems: Iterable[str]) -> None:
     Raises:
         ConfigError: with the first five of them.
     """
-    if first := list(dict.fromkeys(problems))[:MAX_ERRORS]:  # cells of a sweep may share one
-        raise ConfigError("\n".join(first))
+    distinct = list(dict.fromkeys(problems))  # cells of a sweep may share one
+    if distinct:
+        raise ConfigError("\n".join(distinct[:MAX_ERRORS]))
 
 
 def validate(config: Config | RunConfig) -> RunConfig:
@@ -93,12 +94,11 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         case "missing":
             return f"{key} is missing"
         case "extra_forbidden":
-            schema, name = model.model_json_schema(), str(error["loc"][-1])
-            known = {
-                name
-                for part in (schema, *schema.get("$defs", {}).values())
-                for name in part.get("properties", ())
-            }
+            name = str(error["loc"][-1])
+            schema = model.model_json_schema()
+            known: set[str] = set()
+            for part in (schema, *schema.get("$defs", {}).values()):
+                known.update(part.get("properties", ()))
             return f"{key}: there is no such key{did_you_mean(name, known - {name})}"
         case "string_type" if isinstance(error["input"], int | float):
             return f"{key}={error['input']!r} is not text; put it in quotes, \"{key}='...'\""

@@ -107,13 +107,12 @@ def read_episodes(table: bytes) -> pd.DataFrame:
     known = [name for name in EPISODES if name in episodes]
     added = [name for name in numbers.columns.difference(["run_id", *known]) if name.isidentifier()]
     episodes = episodes[[*known, *added]]
-    if absent := [name for name in REQUIRED if name not in episodes]:
-        raise ValueError(f"it has no column {absent[0]}")
-    unknown = [
-        name
-        for name, kind in CATEGORIES.items()
-        if not {*episodes[name].unique()} <= {*kind.categories}
-    ]
-    if unknown or not episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1).all():
+    for name in REQUIRED:
+        if name not in episodes:
+            raise ValueError(f"it has no column {name}")
+    is_known = episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1)
+    for name, kind in CATEGORIES.items():
+        is_known &= episodes[name].isin(kind.categories)
+    if not is_known.all():
         raise ValueError("it has rows that are not episodes")
     return episodes

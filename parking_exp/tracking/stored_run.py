@@ -55,7 +55,7 @@ def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
     config = directory.config()
     status = status_in_store(directory)
     files = files_in_store(directory, status)
-    first_name = f"{config.cell}-seed={config.seed}"
+    first_name = f"{config.cell_name}-seed={config.seed}"
     last_name = first_name
     rate = directory.read_status().get("success_rate")
     if status == "done" and rate is not None:
@@ -127,7 +127,7 @@ def tags_in_store(directory: RunDirectory, config: RunConfig, store: Store) -> d
         tags[OUTPUT_ID] = output_id(directory.output_dir)
 
     tags["experiment"] = config.experiment_name
-    tags["cell"] = config.cell
+    tags["cell"] = config.cell_name
     tags["seed"] = str(config.seed)
     tags["run_key"] = config.run_key
     database_path = database(store.uri)

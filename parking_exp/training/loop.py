@@ -110,7 +110,7 @@ class TrainingLoop:
         )
         resources.callback(self.bar.close)
         self.bar.say(
-            f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}"
+            f"{config.cell_name}, seed {config.seed}: {config.total_timesteps} env steps, in {path}"
         )
         for note in self.task.notes():
             self.bar.say(note)

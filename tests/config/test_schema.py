@@ -195,7 +195,11 @@ def test_the_rounds_of_every_ratio_that_is_accepted_are_exact(n_envs):
 
 def test_the_cell_is_the_config_without_its_seed():
     first, second = (make_config(f"seed={seed}", "env=parking_stop_crowded") for seed in (1, 2))
-    assert first.cell == second.cell == f"parking_stop_crowded-sac-her_future-{first.cell_key}"
+    assert (
+        first.cell_name
+        == second.cell_name
+        == f"parking_stop_crowded-sac-her_future-{first.cell_key}"
+    )
     assert first.run_key != second.run_key
     assert first.run_dir.parent == second.run_dir.parent
     assert (first.run_dir.name, first.run_dir.is_absolute()) == ("seed=1", True)

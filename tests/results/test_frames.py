@@ -54,7 +54,7 @@ def test_a_finished_run_has_the_numbers_of_its_final_evaluation(ablation):
     run = row(load("her", output_dir=output_dir).runs, directory)
     config = directory.config()
     expected = {
-        "run_id": directory.run_id, "name": f"{config.cell}-seed=0", "experiment": "her", "cell": config.cell, "seed": 0,
+        "run_id": directory.run_id, "name": f"{config.cell_name}-seed=0", "experiment": "her", "cell": config.cell_name, "seed": 0,
         "run_key": config.run_key, "status": "done", "total_timesteps": 400, "n_scenes": 5, "first_scene": 0,
         "eval_n_scenes": 3, "steps": 400, "success_rate": 0.8, "crash_rate": 0.2, "timeout_rate": 0.0, "parked_rate": 0.4,
         "episode_steps": table["steps"].mean(), "episode_return": table["return"].mean(),
@@ -223,7 +223,9 @@ def test_a_run_that_was_stored_twice_is_a_problem(output_dir, tmp_path):
     (twin,) = make_store(tmp_path, "e", {"": []}, [0], uri=default_uri(output_dir)).values()
     results = load("e", output_dir=output_dir)
     assert len(results.runs) == 2
-    assert results.problems == (f"e, {twin.config().cell}, seed 0: 2 runs have this cell and seed",)
+    assert results.problems == (
+        f"e, {twin.config().cell_name}, seed 0: 2 runs have this cell and seed",
+    )
 
 
 def test_a_missing_store_is_not_made(tmp_path):
@@ -270,7 +272,7 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
     assert (run["status"], run["seed"], run["cell"], run["steps"]) == (
         "done",
         config.seed,
-        config.cell,
+        config.cell_name,
         400,
     )
     for key, name in {**frames.FINAL, **frames.COST}.items():

@@ -104,7 +104,7 @@ def test_the_store_has_the_resolved_config_and_what_was_run(smoke):
     assert data.params["algorithm._target_"] == "parking_exp.algorithms.SAC"
     assert data.params["env.observation.scales"] == "[100.0, 100.0, 5.0, 5.0, 1.0, 1.0]"
     tags = {
-        "experiment": "smoke", "cell": config.cell, "seed": "0", "run_key": config.run_key, "status": "done",
+        "experiment": "smoke", "cell": config.cell_name, "seed": "0", "run_key": config.run_key, "status": "done",
         "version.parking-exp": __version__,
     }  # fmt: skip
     assert {name: data.tags[name] for name in tags} == tags
