@@ -9,7 +9,8 @@ from support.sync_processes import sync
 from support.tracked_runs import finished_run
 
 from parking_exp.errors import OutputDirectoryError
-from parking_exp.runs.directory import RunDirectory, write_summary
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.file_hashes import write_summary
 from parking_exp.runs.output_identity import output_id
 from parking_exp.tracking.store import Store
 
