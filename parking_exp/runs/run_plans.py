@@ -53,6 +53,7 @@ def write_plan(
             if not directory.needs_evaluation(config):
                 return
             directory.reopen()
+        tracking_uri = config.store_uri if config.tracking.mlflow else None
         directory.write_config(config, durable=False)
         directory.update(
             durable=False,
@@ -62,7 +63,7 @@ def write_plan(
             label=label,
             total_timesteps=config.total_timesteps,
             command=command_line(),
-            tracking_uri=config.store_uri if config.tracking.mlflow else None,
+            tracking_uri=tracking_uri,
             **entries,
         )
 

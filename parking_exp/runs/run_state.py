@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -36,7 +36,7 @@ class RunState(StatusEntries):
 
     run_dir: str  # absolute
     experiment: str
-    cell: str
+    cell: str  # its name
     seed: int
     label: str  # how its cell differs from the others of its sweep
     stage: Stage  # running: a process holds one of its locks; an interrupted one is pending
@@ -113,12 +113,12 @@ def count_stages(states: Iterable[RunState]) -> dict[str, int]:
     return {stage: stages.count(stage) for stage in STAGES}
 
 
-def by_cell(states: Iterable[RunState]) -> Iterator[tuple[tuple[str, str], list[RunState]]]:
-    """Yield ((experiment, cell), its runs), in the order of their first runs."""
+def by_cell(states: Iterable[RunState]) -> dict[tuple[str, str], list[RunState]]:
+    """Return the runs of each cell, by experiment and name of the cell, in the order of states."""
     cells: dict[tuple[str, str], list[RunState]] = {}
     for state in states:
         cells.setdefault((state.experiment, state.cell), []).append(state)
-    yield from cells.items()
+    return cells
 
 
 def _read_running(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
@@ -147,8 +147,8 @@ def _saved_step(path: Path) -> int:
 def as_plain(states: Sequence[RunState]) -> dict[str, Any]:
     """Return runs by cell as JSON can hold them, with how many are at each stage."""
     cells = []
-    for (experiment, cell), runs in by_cell(states):
-        entry: dict[str, Any] = {"experiment": experiment, "cell": cell, "label": runs[0].label}
+    for (experiment, name), runs in by_cell(states).items():
+        entry: dict[str, Any] = {"experiment": experiment, "cell": name, "label": runs[0].label}
         entry |= count_stages(runs)
         entry["runs"] = [run.plain() for run in runs]
         cells.append(entry)

@@ -18,8 +18,8 @@ def cell_table(states: Sequence[RunState]) -> Table:
         table.add_column(stage, justify="right")
     table.add_column("success", justify="right")
     has_several = len({state.experiment for state in states}) > 1
-    cells = list(by_cell(states))
-    for (experiment, _), runs in cells:
+    cells = by_cell(states)
+    for (experiment, _), runs in cells.items():
         label = runs[0].label
         name = f"{experiment}: {label}" if has_several else label
         table.add_row(name, *_counts(runs), _mean_success(runs))

@@ -9,12 +9,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from parking_exp.config_model import TRAINING_SEEDS_START
-from parking_exp.tasks.task import GoalReward, Observation, Step
+from parking_exp.tasks.task import EvaluationBatch, GoalReward, Observation
 
 TRAINING_SEEDS = (TRAINING_SEEDS_START, 2 * TRAINING_SEEDS_START)
 
 
-class TrainingBatch(Protocol):
+class TrainingBatch(EvaluationBatch, Protocol):
     """Episodes that are stepped together, of which each can start anew."""
 
     def start(self, episodes: Any, rows: np.ndarray | None = None) -> None:
@@ -22,9 +22,6 @@ class TrainingBatch(Protocol):
 
     def observe(self, rows: Any = ...) -> Observation:
         """Return the observations of all episodes, or of some."""
-
-    def step(self, actions: np.ndarray) -> Step:
-        """Step all episodes; actions have the shape (n, actions)."""
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return a copy of the state."""

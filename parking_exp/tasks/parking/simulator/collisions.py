@@ -55,8 +55,7 @@ def corners(
     rotation[..., 1, 1] = direction[..., 0]
     np.negative(direction[..., 1], out=rotation[..., 0, 1])
     rotated = (rotation @ points.swapaxes(-1, -2)).swapaxes(-1, -2)
-    corner_points: np.ndarray = np.add(rotated, position[..., None, :], order="C")
-    return corner_points
+    return np.add(rotated, position[..., None, :], order="C")
 
 
 def out_of_reach(
@@ -70,8 +69,7 @@ def out_of_reach(
         travel: signed speed times dt of the first, likewise; as in highway-env, the circles shrink
             in reverse.
     """
-    apart: np.ndarray = np.sqrt(np.vecdot(offset, offset)) > (diagonal + other) / 2 + travel
-    return apart
+    return np.sqrt(np.vecdot(offset, offset)) > (diagonal + other) / 2 + travel
 
 
 def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -155,12 +153,9 @@ class Collisions:
             second = second[~is_wall]
         # Of what parked cars can hit, shape (pairs, 2).
         self._pairs = np.stack([first, second], axis=1)
-        diagonals = (
-            np.full(count, CAR_DIAGONAL_M),
-            WALL_DIAGONALS,
-            np.full(n_obstacles, OBSTACLE_DIAGONAL_M),
-        )
-        self._diagonals = np.concatenate(diagonals)
+        cars = np.full(count, CAR_DIAGONAL_M)
+        obstacles = np.full(n_obstacles, OBSTACLE_DIAGONAL_M)
+        self._diagonals = np.concatenate([cars, WALL_DIAGONALS, obstacles])
 
     def resolve(self, state: SceneState) -> None:
         """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the

@@ -13,8 +13,7 @@ Range = tuple[float, float]
 
 def slip_angle(steering: np.ndarray) -> np.ndarray:
     """Return the angle between the direction of motion at the car's centre and its heading."""
-    angle: np.ndarray = np.arctan(0.5 * np.tan(steering))
-    return angle
+    return np.arctan(0.5 * np.tan(steering))
 
 
 def advance(

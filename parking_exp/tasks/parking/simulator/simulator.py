@@ -306,8 +306,7 @@ def _any_within(reach: np.ndarray, position: np.ndarray, places: np.ndarray) -> 
     """
     offset = places - position.T[:, None]
     squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
-    within: np.ndarray = (squared < reach[:, None] ** 2).any(axis=1)
-    return within
+    return (squared < reach[:, None] ** 2).any(axis=1)
 
 
 def _direction(heading: np.ndarray) -> np.ndarray:
