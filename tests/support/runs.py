@@ -95,6 +95,11 @@ def evaluate_stored(path, *arguments):
     return evaluate(lines, None)
 
 
+def sync_stored(output_dir, *arguments):
+    """Send what the store of an output directory lacks, as `scripts/status.py` does."""
+    return call_script("status", f"output_dir={output_dir}", "sync=true", *arguments)
+
+
 def in_memory():
     """A temporary directory that does not wait for a disk, where there is such a place: a sqlite
     store does, often.

@@ -20,10 +20,12 @@ SLOW = (
 FAILING = {"PYTHONPATH": str(ROOT / "tests")}
 
 
-def sweep(output_dir, *arguments, **keywords):
-    return run_script(
-        "train", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING, **keywords
-    )
+def sweep(output_dir, *arguments, returns=0, timeout=180):
+    """Run a sweep to its end, and check its exit status."""
+    options = (*QUICK, f"output_dir={output_dir}", *arguments)
+    done = run_script("train", *options, env=FAILING, timeout=timeout)
+    assert done.returncode == returns, done.stderr
+    return done
 
 
 def begin(output_dir, *arguments, name="train", options=QUICK):
@@ -38,6 +40,14 @@ def statuses(output_dir):
     """{(cell, seed): status.json} of all runs."""
     files = output_dir.glob("*/*/seed=*/status.json")
     return {(file.parents[1].name, file.parent.name): read_json(file) for file in files}
+
+
+def errors_by_label(output_dir):
+    """Errors of runs, by the last part of their labels."""
+    by_label = {}
+    for status in statuses(output_dir).values():
+        by_label[status["label"].rpartition(".")[2]] = status.get("error")
+    return by_label
 
 
 def stages(output_dir):

@@ -45,6 +45,12 @@ def finished_run(output_dir, seed=0, **changes):
     return directory
 
 
+def files_below(folder):
+    """Every file below a folder with its content, by its relative path."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
 def rows(output_dir, query, *values):
     """Run a statement in the database of an output directory's own store."""
     with closing(sqlite3.connect(output_dir / "mlflow.db")) as database, database:

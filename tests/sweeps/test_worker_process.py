@@ -154,8 +154,7 @@ def test_runs_whose_server_is_killed_end_and_the_next_sweep_resumes_them(tmp_pat
     assert {status["error"] for status in statuses(tmp_path).values()} == {
         "its process was lost, as the server that it was forked from was killed"
     }
-    done = sweep(tmp_path, *TWO, *SLOW)
-    assert done.returncode == 0, done.stderr
+    sweep(tmp_path, *TWO, *SLOW)
     assert stages(tmp_path) == ["done"] * 2
 
 
@@ -179,7 +178,7 @@ def test_a_sweep_sends_checkpoints_while_its_runs_train_and_provenance_needs_no_
     process.send_signal(signal.SIGINT)
     process.communicate()
     assert statuses_in_store(stored) == ["KILLED", "KILLED"]
-    assert sweep(untracked, "seeds=1", "retry=failed").returncode == 0
+    sweep(untracked, "seeds=1", "retry=failed")
     (path,) = untracked.glob("smoke/*/seed=0/provenance.json")
     assert json.loads(path.read_text())["tags"]["cpu"]
     assert not (untracked / "mlflow.db").exists()

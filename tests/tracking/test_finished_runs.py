@@ -6,9 +6,9 @@ import json
 import shutil
 
 import pytest
-from support.runs import artifacts, call_script, store
+from support.runs import artifacts, call_script, store, sync_stored
 from support.sync_processes import sync
-from support.tracked_runs import finished_run, rows, written_run
+from support.tracked_runs import files_below, finished_run, rows, written_run
 
 from parking_exp.errors import StoreError
 from parking_exp.results.frames import load
@@ -20,12 +20,8 @@ from parking_exp.tracking.sync import sync_problem
 
 def stored_files(directory):
     """Every artifact of the run, by name."""
-    folder = directory.output_dir / "mlflow-artifacts" / "smoke" / directory.run_id / "artifacts"
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
+    runs = directory.output_dir / "mlflow-artifacts" / "smoke"
+    return files_below(runs / directory.run_id / "artifacts")
 
 
 @pytest.fixture
@@ -37,10 +33,6 @@ def finished(output_dir):
     directory.finish(directory.result())
     sync(directory)
     return directory
-
-
-def sync_command(output_dir):
-    return call_script("status", f"output_dir={output_dir}", "sync=true")
 
 
 def half(path):
@@ -71,7 +63,7 @@ def test_a_damaged_file_of_a_finished_run_does_not_replace_what_the_store_has(
     before = stored_files(finished)
     metrics = rows(finished.output_dir, "SELECT count(*) FROM metrics")
     DAMAGES[damage](finished.path / name)
-    synced = sync_command(finished.output_dir)
+    synced = sync_stored(finished.output_dir)
     assert synced.returncode == 2
     assert name.rpartition("/")[2] in synced.stderr
     assert "files and store differ for 1 run" in synced.stderr
@@ -89,7 +81,7 @@ def test_a_run_whose_damaged_file_is_restored_or_deleted_is_whole_again(finished
         problem = sync_problem([finished], store)
         assert "metrics.jsonl changed after the run was finished" in problem
         mend()
-        assert sync_command(finished.output_dir).returncode == 0
+        assert sync_stored(finished.output_dir).returncode == 0
         assert stored_files(finished)["metrics.jsonl"] == content
 
 
@@ -117,7 +109,7 @@ def test_a_damaged_file_of_an_evaluation_does_not_replace_what_the_store_has(
     before = stored_files(finished)
     assert {"evaluations/again/episodes.csv", "evaluations/again/summary.json"} < set(before)
     DAMAGES[damage](folder / name)
-    synced = sync_command(finished.output_dir)
+    synced = sync_stored(finished.output_dir)
     assert synced.returncode == 2
     assert (
         f"evaluations/again/{name} changed after the run was finished; the store keeps what it has"
@@ -128,7 +120,7 @@ def test_a_damaged_file_of_an_evaluation_does_not_replace_what_the_store_has(
 
 def test_a_status_that_can_t_be_read_is_a_problem_of_a_sync(finished):
     (finished.path / "status.json").write_text("")
-    synced = sync_command(finished.output_dir)
+    synced = sync_stored(finished.output_dir)
     assert synced.returncode == 2
     assert f"{finished.path}: status.json can't be read" in synced.stderr
     assert rows(finished.output_dir, "SELECT status FROM runs") == [("FINISHED",)]
@@ -142,7 +134,7 @@ def test_lost_artifacts_are_sent_again(finished, lost):
         shutil.rmtree(path)
     else:
         half(path)
-    synced = sync_command(finished.output_dir)
+    synced = sync_stored(finished.output_dir)
     assert (synced.returncode, synced.stderr) == (0, f"{finished.path}: the store has everything\n")
     assert stored_files(finished) == before
 
@@ -192,7 +184,7 @@ def test_an_experiment_that_was_deleted_in_mlflow_is_named_by_all_commands(finis
     sentence = (
         f"mlflow experiments restore --experiment-id {experiment_id}`, or choose another name"
     )
-    synced = sync_command(output_dir)
+    synced = sync_stored(output_dir)
     assert synced.returncode == 2
     assert (
         f"{finished.path}: experiment=smoke is deleted in MLflow; restore it by " in synced.stderr
@@ -202,7 +194,7 @@ def test_an_experiment_that_was_deleted_in_mlflow_is_named_by_all_commands(finis
     assert reported.returncode == 2
     assert sentence in reported.stderr
     client.restore_experiment(experiment_id)
-    assert sync_command(output_dir).returncode == 0
+    assert sync_stored(output_dir).returncode == 0
     assert artifacts(client, finished.run_id) == sorted(stored_files(finished))
 
 
@@ -216,7 +208,7 @@ def test_without_the_hashes_of_a_result_changed_files_are_not_sent(finished):
     before = stored_files(finished)
     (finished.path / "metrics.jsonl").write_text("")
     (finished.path / "result.json").write_text("")
-    synced = sync_command(finished.output_dir)
+    synced = sync_stored(finished.output_dir)
     assert synced.returncode == 2
     assert "result.json has no hashes to check them; the store keeps what it has" in synced.stderr
     assert stored_files(finished) == before

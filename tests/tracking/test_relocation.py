@@ -8,9 +8,16 @@ import socket
 
 import pytest
 import yaml
-from support.runs import call_script, evaluate_stored, make_config, run_script, store
+from support.runs import (
+    call_script,
+    evaluate_stored,
+    make_config,
+    run_script,
+    store,
+    sync_stored,
+)
 from support.sync_processes import sync
-from support.tracked_runs import finished_run, rows
+from support.tracked_runs import files_below, finished_run, rows
 
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
@@ -25,15 +32,6 @@ from parking_exp.tracking.sync import sync_missing, sync_run
 EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 
 
-def snapshot(folder):
-    """Every file below a folder with its content."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("move", [shutil.move, shutil.copytree])
 def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_nothing_else(
@@ -42,13 +40,13 @@ def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_n
     old, new = tmp_path / "old", tmp_path / "new"
     assert run_script("train", "experiment=smoke", f"output_dir={old}").returncode == 0
     move(old, new)
-    before = snapshot(tmp_path / "old")
+    before = files_below(tmp_path / "old")
     (path,) = find_runs(new)
     run_id = RunDirectory(path).run_id
     done = run_script("evaluate", f"run={path}", f"output_dir={new}", *EVALUATE)
     assert done.returncode == 0, done.stderr
     assert "not stored" not in done.stdout
-    assert snapshot(old) == before
+    assert files_below(old) == before
     assert (
         "mlflow.db can't be used here and is made again; the old one is mlflow.db.replaced-1\n"
         in done.stderr
@@ -118,7 +116,7 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
     assert f"tracking.uri={uri} sends the results there" in done.stdout
     assert (foreign.path / "evaluations" / "again" / "summary.json").exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
-    done = call_script("status", f"output_dir={tmp_path / 'theirs'}", "sync=true")
+    done = sync_stored(tmp_path / "theirs")
     assert f"tracking.uri={uri}" in done.stderr
 
 
@@ -143,11 +141,11 @@ def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, n
     link.unlink(missing_ok=True)
     link.parent.mkdir(exist_ok=True, parents=True)
     link.symlink_to(outside if "." not in link.name else outside / "episodes.csv")
-    before = snapshot(outside)
+    before = files_below(outside)
     with pytest.raises(UntrustedError) as refusal:
         evaluate_stored(foreign.path, *EVALUATE)
     assert str(link) in str(refusal.value)
-    assert snapshot(outside) == before
+    assert files_below(outside) == before
     with pytest.raises(UntrustedError, match="is a symbolic link"):
         sync_run(foreign, Store(default_uri(tmp_path), foreign.output_dir))
 

@@ -4,7 +4,7 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from support.runs import artifacts, call_script
+from support.runs import artifacts, call_script, sync_stored
 from support.sync_processes import sync
 from support.tracked_runs import finished_run
 
@@ -37,7 +37,7 @@ def test_machines_with_the_same_path_of_the_output_directory_keep_each_others_ru
         shutil.move(path, tmp_path / f"machine-{number}")
     for number in (0, 1, 0):
         shutil.move(tmp_path / f"machine-{number}", path)
-        synced = call_script("status", f"output_dir={path}", "sync=true", f"tracking.uri={central}")
+        synced = sync_stored(path, f"tracking.uri={central}")
         assert (synced.returncode, synced.stderr) == (0, "")
         shutil.move(path, tmp_path / f"machine-{number}")
     assert stages(central) == [(1000, "active"), (1001, "active")]
@@ -129,7 +129,7 @@ def test_mlflows_variable_is_said_to_be_ignored(smoke, tmp_path, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:9")
     shutil.copytree(smoke[2], tmp_path / "outputs")
     say_ignored_store.cache_clear()
-    synced = call_script("status", f"output_dir={tmp_path / 'outputs'}", "sync=true")
+    synced = sync_stored(tmp_path / "outputs")
     sentence = (
         "MLFLOW_TRACKING_URI is ignored; tracking.uri=URI chooses a store other than output_dir's"
     )

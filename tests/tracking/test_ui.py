@@ -12,8 +12,6 @@ from support.sync_processes import sync
 from support.tracked_runs import finished_run
 
 from parking_exp.config.paths import default_uri
-from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import sync_run
 
 playwright = pytest.importorskip("playwright.sync_api")
 BROWSER = next(
@@ -72,7 +70,7 @@ def test_the_list_of_runs_shows_their_success_rates(tmp_path):
         directory = finished_run(tmp_path, uri=uri)
         directory.update(success_rate=0.985)
     with mlflow_server(port, tmp_path), playwright.sync_playwright() as driver:
-        sync_run(directory, Store(uri, tmp_path))
+        sync(directory)
         browser = driver.chromium.launch(executable_path=BROWSER, args=ARGUMENTS)
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.goto(addresses(uri, port)["smoke"], timeout=120_000)
