@@ -101,16 +101,12 @@ def foreign(smoke, tmp_path):
     return RunDirectory(path)
 
 
-def set_tracking_uri(directory, uri):
-    write_json(directory.path / "status.json", {**directory.read_status(), "tracking_uri": uri})
-
-
 def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory_names(
     foreign, listener, tmp_path, monkeypatch
 ):
     uri = uri_of(listener)
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
-    set_tracking_uri(foreign, uri)
+    foreign.update(tracking_uri=uri)
     done = call_script("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert f"tracking.uri={uri} sends the results there" in done.stdout

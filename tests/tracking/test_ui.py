@@ -25,20 +25,19 @@ ARGUMENTS = [
 ]
 
 
+def lines_of(*command):
+    done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    return done.stdout.splitlines()
+
+
 def make_ui(*arguments):
     """Commands that `make ui` would run."""
-    command = ["make", "--no-print-directory", "--dry-run", "ui", *arguments]
-    return subprocess.run(
-        command, cwd=ROOT, check=True, capture_output=True, text=True
-    ).stdout.splitlines()
+    return lines_of("make", "--no-print-directory", "--dry-run", "ui", *arguments)
 
 
 def addresses(uri, port):
     """Address of each experiment, as `make ui` prints them."""
-    command = [sys.executable, "-m", "parking_exp.tracking.ui_addresses", uri, str(port)]
-    lines = subprocess.run(
-        command, cwd=ROOT, check=True, capture_output=True, text=True
-    ).stdout.splitlines()
+    lines = lines_of(sys.executable, "-m", "parking_exp.tracking.ui_addresses", uri, str(port))
     return dict(line.split() for line in lines)
 
 
