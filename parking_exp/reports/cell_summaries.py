@@ -13,16 +13,13 @@ from parking_exp.reports.report_data import CellSummary, Curve, RunSummary
 from parking_exp.results.frames import Results
 from parking_exp.statistics import (
     Interval,
-    Proportion,
     coverage_note,
     finite_or_none,
     interquartile_mean,
     kaplan_meier,
     mean_interval,
     normalised_area,
-    share_reaching,
     steps_to,
-    wilson_interval,
 )
 from parking_exp.tasks.metrics import Metric
 from parking_exp.tasks.registry import FAILURES, METRICS, added_metrics, task_reports
@@ -51,16 +48,19 @@ class RunEvaluations:
 
     curves: dict[str, pd.DataFrame]
     final: dict[str, pd.DataFrame]  # the final episodes
+    whole_curves: set[str]  # runs with a rate at each evaluation
 
 
 def split_by_run(results: Results) -> RunEvaluations:
     """Split the evaluations of some results."""
+    has_rate = results.curves["success_rate"].notna().groupby(results.curves["run_id"]).all()
     curves = results.curves.dropna(subset=["success_rate"])
     # Each task has one of the failures.
     failures = curves.reindex(columns=[f"{name}_rate" for name in FAILURES])
     curves = curves.assign(failure_rate=failures.bfill(axis=1).iloc[:, 0])
     final = results.episodes[results.episodes["phase"] == "final"]
-    return RunEvaluations(_group_by_run(curves), _group_by_run(final))
+    whole_curves = set(has_rate[has_rate].index)
+    return RunEvaluations(_group_by_run(curves), _group_by_run(final), whole_curves)
 
 
 def _group_by_run(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -99,11 +99,11 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
 def _describe_success(rates: Sequence[float]) -> dict[str, Any]:
     """Return the fields of a cell about the success of its seeds, beside its mean."""
     if not rates:
-        return {"lowest": None, "iqm": None, "reaching_95": Proportion(0, 0, None, None)}
+        return {"lowest": None, "iqm": None, "reaching_95": None}
     return {
         "lowest": min(rates),
         "iqm": interquartile_mean(rates),
-        "reaching_95": share_reaching(rates, RELIABLE),
+        "reaching_95": sum(rate >= RELIABLE for rate in rates),
         "note": coverage_note(rates),
     }
 
@@ -128,21 +128,14 @@ def _summarise_run(run: Mapping[Any, Any], evaluations: RunEvaluations) -> RunSu
     columns = {name: metric.run_column for name, metric in REPORTED.items()}
     columns |= {name: name for name in added_metrics(run)}
     metrics = {name: finite_or_none(run[column]) for name, column in columns.items()}
-    success = metrics["success"]
     run_id = run["run_id"]
     run_dir = run["run_dir"] if isinstance(run["run_dir"], str) else None
     n_episodes = len(evaluations.final.get(run_id, ())) or _to_int(run["n_scenes"])
-    low = None
-    high = None
-    if success is not None and n_episodes:
-        low, high = wilson_interval(round(success * n_episodes), n_episodes)
     return RunSummary(
         seed=int(run["seed"]),
         run_id=run_id,
         run_dir=run_dir,
         n_episodes=n_episodes,
-        low=low,
-        high=high,
         cpu_s=finite_or_none(run["cpu_s"]),
         **_measure_curve(evaluations.curves.get(run_id)),
         **_metric_fields(metrics),

@@ -4,12 +4,18 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from parking_exp.config.cell_labels import setting
 from parking_exp.errors import quoted_label
-from parking_exp.reports.cell_comparisons import SIGNIFICANT
+from parking_exp.reports.cell_comparisons import judge
 from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import CellSummary, Pair, ReportData
-from parking_exp.reports.report_warnings import ENOUGH_SEEDS, FEW_NAMES, list_names
+from parking_exp.reports.report_warnings import FEW_NAMES, list_names
+from parking_exp.statistics import ENOUGH_FOR_A_TEST
 
-TOO_FEW = ": that needs two finished seeds of each."
+TOO_FEW = f": that needs {ENOUGH_FOR_A_TEST} finished seeds of each."
+LEVEL_VERDICTS = {
+    "same": "levels are indistinguishable; ",
+    "unclear": "levels may differ; ",
+    "unknown": "too few seeds; ",
+}
 
 
 def describe_findings(report: ReportData) -> Iterator[str]:
@@ -38,6 +44,8 @@ def _describe_cells(report: ReportData) -> Iterator[str]:
 
 def _describe_best(rated: Sequence[CellSummary]) -> str:
     best = rated[0]
+    if best.success.value == 0 and len(rated) > 1:
+        return "No cell succeeds in any episode."
     rate = rate_interval(best.success)
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
     if len(rated) == 1:
@@ -89,18 +97,10 @@ def _list_others(pairs: Sequence[Pair], labels: Mapping[str, str]) -> str:
 
 
 def _write_gap(label: str, pair: Pair) -> str:
-    """Write `td3 (+26.1 points [+16.9, +35.4], p < 0.001)`, and where ranks disagree, their p.
-
-    With few seeds, ranks of several pairs can't be significant after Holm.
-    """
-    parts = [points_interval(pair.difference)]
-    if pair.p_corrected is not None:
-        parts.append(p_value(pair.p_corrected))
-    if pair.rank_p_holm is not None and pair.difference.n >= ENOUGH_SEEDS:
-        is_significant = pair.verdict in ("a", "b")
-        if (pair.rank_p_holm < SIGNIFICANT) != is_significant:
-            parts.append(f"but by ranks {p_value(pair.rank_p_holm)}")
-    return f"{quoted_label(label)} ({', '.join(parts)})"
+    """Write `td3 (+26.1 points [+16.9, +35.4], p = 0.0004)`."""
+    return (
+        f"{quoted_label(label)} ({points_interval(pair.difference)}, {p_value(pair.p_corrected)})"
+    )
 
 
 def _describe_factors(report: ReportData) -> Iterator[str]:
@@ -112,8 +112,7 @@ def _describe_factors(report: ReportData) -> Iterator[str]:
         parts = [points_interval(effect.largest)]
         if effect.p is not None:
             parts.append(p_value(effect.p))
-        is_significant = effect.p is not None and effect.p < SIGNIFICANT
-        verdict = "" if is_significant else "levels are indistinguishable; "
+        verdict = LEVEL_VERDICTS.get(judge(effect.largest), "")
         yield (
             f"{report.factor_names[effect.factor]}: {verdict}{setting(high.level)} "
             f"({rate_interval(high.effect)}) minus {setting(low.level)} "

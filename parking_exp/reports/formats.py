@@ -5,7 +5,9 @@ from typing import Any, NamedTuple
 
 from parking_exp.config.cell_labels import setting
 from parking_exp.reports.report_data import Verdict
-from parking_exp.statistics import Interval, Proportion, finite_or_none
+from parking_exp.statistics import Interval, finite_or_none
+
+SMALLEST_P = 0.0001  # that is written
 
 
 class VerdictWords(NamedTuple):
@@ -20,6 +22,7 @@ VERDICTS: dict[Verdict, VerdictWords] = {
     "a": VerdictWords("▲", "A is better", "is better than"),
     "b": VerdictWords("▼", "B is better", "is worse than"),
     "same": VerdictWords("≈", "indistinguishable", "is indistinguishable from"),
+    "unclear": VerdictWords("~", "unclear", "may differ from"),
     "unknown": VerdictWords("?", "too few seeds", "cannot be compared with"),
 }
 
@@ -56,20 +59,21 @@ def number(value: float | None, digits: int = 0) -> str:
 
 
 def probability(p: float | None) -> str:
-    """Write a p value for a table: three digits, and nothing smaller."""
+    """Write a p value for a table, down to 0.0001."""
     p = finite_or_none(p)
     if p is None:
         return ""
-    return "<0.001" if p < 0.001 else f"{p:.3f}"
+    if p <= SMALLEST_P:
+        return f"≤ {SMALLEST_P}"
+    return f"{p:.3f}" if p >= 0.001 else f"{p:.4f}"
 
 
 def p_value(p: float | None) -> str:
     """Write a p value for a sentence: `p = 0.012`."""
-    if p is None:
+    text = probability(p)
+    if not text:
         return ""
-    if p < 0.001:
-        return "p < 0.001"
-    return f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
+    return f"p {text}" if text.startswith("≤") else f"p = {text}"
 
 
 def percent_interval(interval: Interval) -> str:
@@ -85,11 +89,6 @@ def difference_interval(interval: Interval) -> str:
 def points_interval(interval: Interval) -> str:
     """Write `+9.1 points [+4.0, +14.2]`, or the number alone."""
     return f"{points(interval.value)} points{_write_bounds(interval, points)}"
-
-
-def share_interval(share: Proportion) -> str:
-    """Write `9/10 [59.6, 98.2]`: of ten, nine, with the interval of their share in per cent."""
-    return f"{share.k}/{share.n}{_write_bounds(share, percent)}" if share.n else ""
 
 
 def rate_text(value: float | None) -> str:
@@ -113,7 +112,7 @@ def level(value: Any) -> str:
     return "none" if value is None else setting(value)
 
 
-def _write_bounds(interval: Interval | Proportion, write: Callable[[float | None], str]) -> str:
+def _write_bounds(interval: Interval, write: Callable[[float | None], str]) -> str:
     """Write the ends of an interval as ` [91.2, 97.1]`, nothing where one is missing."""
     low = write(interval.low)
     high = write(interval.high)

@@ -147,9 +147,9 @@ def read_report_export(folder: str) -> ReportSource:
     """Return what the export of a report has."""
     results = read_export(folder)
     try:
-        stored = results.about["report"].get("tuning")
+        stored = results.about.get("report", {}).get("tuning")
         tuning = TypeAdapter(StoredSearch | None).validate_python(stored)
-    except (ValidationError, KeyError, AttributeError) as error:
+    except (ValidationError, AttributeError) as error:
         path = Path(folder) / REPORT
         raise ResultsError(f"{path} can't be read: it does not describe a report") from error
     return ReportSource(results, tuning)

@@ -3,14 +3,16 @@
 from collections.abc import Iterator
 
 from parking_exp.reports.report_data import ReportData
-from parking_exp.statistics import unseen_share
+from parking_exp.statistics import ENOUGH_FOR_A_TEST, unseen_share
 from parking_exp.tasks.registry import task_reports
 
 REFERENCES = (
-    "Wilson, J. Am. Stat. Assoc. 22 (1927). Clopper & Pearson, Biometrika 26 (1934). Mann & "
-    "Whitney, Ann. Math. Stat. 18 (1947). Kaplan & Meier, J. Am. Stat. Assoc. 53 (1958). Holm, "
-    "Scand. J. Stat. 6 (1979). Rubin, Ann. Stat. 9 (1981), on the Bayesian bootstrap. Walley, "
-    "J. R. Stat. Soc. B 58 (1996). Agarwal et al., NeurIPS (2021), on the interquartile mean."
+    "Clopper & Pearson, Biometrika 26 (1934). Fisher, The Design of Experiments (1935). Mann & "
+    "Whitney, Ann. Math. Stat. 18 (1947). Kaplan & Meier, J. Am. Stat. Assoc. 53 (1958). Rubin, "
+    "Ann. Stat. 9 (1981), on the Bayesian bootstrap. Pagano & Tritchler, J. Am. Stat. Assoc. 78 "
+    "(1983), on exact permutation tests. Walley, J. R. Stat. Soc. B 58 (1996). Zou & Donner, Stat. "
+    "Med. 27 (2008), on intervals of differences. Agarwal et al., NeurIPS (2021), on the "
+    "interquartile mean."
 )
 
 
@@ -23,36 +25,34 @@ def describe_methods(report: ReportData) -> Iterator[str]:
     for task in task_reports(report.tasks):
         yield from task.methods
     yield (
-        "Intervals of rates are for the mean of all possible seeds: a Bayesian bootstrap of the "
+        "Intervals are at 95 %, for the mean of all possible seeds: a Bayesian bootstrap of the "
         "seeds and of one unseen seed, at least as wide as Clopper and Pearson's of all episodes. "
-        "A single seed has no interval."
+        "Below ten seeds they are compatibility intervals: they show which means go well with the "
+        "seeds, and cover less than 95 % where seeds collapse. A single seed has no interval."
     )
     yield "CPU-seconds of a run count everything, its final evaluation and cross-check included."
-    yield (
-        "All intervals are at 95 %. Shares of episodes have Wilson's, shares of seeds Clopper and "
-        "Pearson's."
-    )
     fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)
     if fewest > 1:
         share = 100 * unseen_share(fewest)
         yield (
-            f"Recipes that collapse now and then can hide it: {fewest} seeds without a collapse "
-            f"leave room for {share:.0f} % of seeds that do."
+            f"A few seeds do not show rare collapses: if none of {fewest} seeds collapses, up to "
+            f"{share:.0f} % of all seeds still may."
         )
     if report.pairs:
         yield (
-            f"{report.family} Ranks of seeds have Mann and Whitney's test, with Holm's correction."
+            f"{report.family} A verdict needs {ENOUGH_FOR_A_TEST} seeds of each cell, and is "
+            "“unclear” where only one of test and interval finds a difference. As a second "
+            "opinion, tables have Mann and Whitney's test of ranks, with the same correction."
         )
     if any(cell.survival for cell in report.cells):
         yield (
             "Time to 90 %: the first step from which three evaluations in a row had 90 % success. "
-            "Seeds that do not reach it are right-censored: shares are Kaplan and Meier's, with "
-            "Greenwood's interval on the log-log scale."
+            "Seeds that do not reach it are right-censored: shares are Kaplan and Meier's."
         )
     if report.effects:
         yield (
-            "Main effects are means of cell means, with intervals made likewise; p of the "
-            "difference of the best and the worst level, and its interval, have Bonferroni's "
-            "correction over the pairs of levels."
+            "Main effects are means of cell means, with intervals made likewise. The difference of "
+            "the best and the worst level has the same test, which permutes seeds among cells that "
+            "are equal otherwise, with Bonferroni's correction over the pairs of levels."
         )
     yield REFERENCES

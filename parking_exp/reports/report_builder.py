@@ -16,6 +16,7 @@ from parking_exp.reports.cell_summaries import split_by_run, summarise_cell
 from parking_exp.reports.findings import describe_findings
 from parking_exp.reports.provenance import collect_provenance
 from parking_exp.reports.report_data import CellSummary, ReportData
+from parking_exp.reports.run_checks import find_contradictions, leave_out_impossible_rates
 from parking_exp.results.frames import Results
 
 MAX_PROBLEMS = 5
@@ -59,6 +60,7 @@ def build_report(
         ConfigError: there is no such cell, baseline or contrast.
         RunNotFoundError: no run is done, and `quick` is not set.
     """
+    results = leave_out_impossible_rates(results)
     all_cells = cell_selection.group_runs(results.runs)
     selection = _select(all_cells, cells, baseline, contrast)
     evaluations = split_by_run(results)
@@ -94,6 +96,7 @@ def build_report(
     warnings = [
         *selection.warnings,
         *report_warnings.find_incomparable(report),
+        *find_contradictions(selection.cells, evaluations),
         *results.problems[:MAX_PROBLEMS],
     ]
     return replace(

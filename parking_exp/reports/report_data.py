@@ -9,14 +9,14 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from parking_exp.config.cell_labels import Factor, Setting
-from parking_exp.statistics import Interval, MainEffect, Proportion, SurvivalCurve
+from parking_exp.statistics import Interval, MainEffect, SurvivalCurve
 from parking_exp.tasks.registry import FAILURES
 
 if TYPE_CHECKING:
     from parking_exp.tuning.search import StoredSearch
 
 MAX_DRAWN_PAIRS = 21  # all pairs of seven cells
-Verdict = Literal["a", "b", "same", "unknown"]
+Verdict = Literal["a", "b", "same", "unclear", "unknown"]
 REVERSED: dict[Verdict, Verdict] = {"a": "b", "b": "a"}
 
 
@@ -30,8 +30,6 @@ class RunSummary:
     success: float | None
     timeout: float | None
     n_episodes: int | None
-    low: float | None  # Wilson's interval of `success`
-    high: float | None
     episode_steps: float | None
     cpu_s: float | None
     # First env step from which 90 % were held, or the last from which they could have been.
@@ -77,7 +75,7 @@ class CellSummary:
     area: Interval
     lowest: float | None  # success of the worst seed
     iqm: float | None  # interquartile mean of the seeds' success
-    reaching_95: Proportion  # seeds
+    reaching_95: int | None  # seeds that end at 95 % or above
     seeds: Sequence[RunSummary] = ()
     curve: Curve | None = None  # None without evaluations during training, as `survival`
     survival: SurvivalCurve | None = None  # of the env steps until 90 % are held
@@ -104,11 +102,11 @@ class Pair:
     a: str  # ids of the cells
     b: str
     difference: Interval  # mean of a minus mean of b
-    p: float | None  # of the difference
+    p: float | None  # of the exact permutation test
     p_corrected: float | None  # for the pairs of the report, as the interval of the difference
-    rank_p: float | None  # of Mann and Whitney's test
-    rank_p_holm: float | None
-    # `a` or `b` is better (p_corrected < 0.05), `same`: not significant, `unknown`: too few seeds
+    rank_p: float | None  # of Mann and Whitney's test, corrected as p
+    # `a` or `b` is better, `same`: neither test nor interval finds a difference, `unclear`: one of
+    # them does, `unknown`: too few seeds
     verdict: Verdict
 
     def reverse(self) -> "Pair":

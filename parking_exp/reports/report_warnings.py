@@ -33,7 +33,8 @@ def find_incomparable(report: ReportData) -> Iterator[str]:
     if few:
         yield (
             f"Exploratory: fewer than {ENOUGH_SEEDS} finished seeds in {len(few)} of "
-            f"{plural(len(cells), 'cell')} (the fewest: {min(few)})."
+            f"{plural(len(cells), 'cell')} (the fewest: {min(few)}), whose intervals are "
+            "compatibility intervals."
         )
     yield from _find_mixed(report)
     for cell in cells:

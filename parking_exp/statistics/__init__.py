@@ -7,19 +7,16 @@ the functions that need it.
 """
 
 from parking_exp.statistics.comparisons import (
+    ENOUGH_FOR_A_TEST,
     Difference,
     compare,
-    holm,
-    rank_test,
 )
 from parking_exp.statistics.effects import MainEffect, main_effects
 from parking_exp.statistics.intervals import Interval, coverage_note
 from parking_exp.statistics.means import SeedRates, mean_interval
 from parking_exp.statistics.rates import (
-    Proportion,
     finite_or_none,
     interquartile_mean,
-    share_reaching,
     unseen_share,
     wilson_interval,
 )
@@ -31,23 +28,20 @@ from parking_exp.statistics.survival import (
 )
 
 __all__ = [
+    "ENOUGH_FOR_A_TEST",
     "Difference",
     "Interval",
     "MainEffect",
-    "Proportion",
     "SeedRates",
     "SurvivalCurve",
     "compare",
     "coverage_note",
     "finite_or_none",
-    "holm",
     "interquartile_mean",
     "kaplan_meier",
     "main_effects",
     "mean_interval",
     "normalised_area",
-    "rank_test",
-    "share_reaching",
     "steps_to",
     "unseen_share",
     "wilson_interval",

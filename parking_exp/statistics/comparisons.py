@@ -1,23 +1,26 @@
-"""Comparison of cells: differences, ranks, and corrections for many pairs. Seeds are not paired."""
+"""Comparison of cells: differences of means, and tests of them. Seeds are not paired."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from parking_exp.statistics.intervals import Interval
-from parking_exp.statistics.means import SeedRates, contrast
+from parking_exp.statistics.means import SeedRates, mean_interval
+from parking_exp.statistics.permutation import permutation_p
+from parking_exp.statistics.rates import finite_or_none
 
 Cells = Sequence[SeedRates]
+ENOUGH_FOR_A_TEST = 4  # seeds on each side: three against three have no p below 0.1
 
 
 @dataclass(frozen=True)
 class Difference(Interval):
-    """mean(a) - mean(b) with its interval, and its two-sided p.
+    """mean(a) - mean(b) with its interval, and the two-sided p of the permutation test.
 
     Attributes:
-        p: None where a cell has a single seed.
+        p: None where a side has fewer than ENOUGH_FOR_A_TEST seeds, or cells lack a counterpart.
         p_corrected: the same with Bonferroni's correction.
     """
 
@@ -30,18 +33,16 @@ def compare(
 ) -> list[Difference]:
     """Return the difference of each pair of a family: the mean of some cells' means minus others'.
 
-    Bonferroni's correction makes the family's intervals simultaneous, and 0 lies outside exactly
-    where the corrected p is below alpha. (Holm's smaller p has no such intervals.) Where a cell has
-    a single seed there is neither p nor interval, and the pair is no part of the family. `n_pairs`
-    is the number of pairs of a larger family.
+    The cells of a pair are matched by their place, and seeds are permuted within matched cells.
+    Bonferroni's correction is for the pairs that have a p, and makes their intervals simultaneous.
+    `n_pairs` is the number of pairs of a larger family.
     """
-    contrasts = [contrast(a, b) for a, b in pairs]
-    family_size = max(1, n_pairs, sum(each.p is not None for each in contrasts))
+    p_values = [_test(a, b) for a, b in pairs]
+    family_size = max(1, n_pairs, sum(p is not None for p in p_values))
 
     differences = []
-    for each in contrasts:
-        interval = each.interval(alpha / family_size)
-        p = each.p
+    for (a, b), p in zip(pairs, p_values, strict=True):
+        interval = contrast(a, b, alpha / family_size)
         p_corrected = None if p is None else min(1, family_size * p)
         differences.append(
             Difference(interval.value, interval.low, interval.high, interval.n, p, p_corrected)
@@ -49,28 +50,44 @@ def compare(
     return differences
 
 
-def rank_test(a: ArrayLike, b: ArrayLike) -> float | None:
-    """Return the two-sided p of Mann and Whitney's test (1947) of seeds, shapes (n_a,) and (n_b,).
-
-    It is exact without ties. With fewer than two seeds on a side there is none.
-    """
-    from scipy import stats
-
-    if min(np.size(a), np.size(b)) < 2:
+def _test(a: Cells, b: Cells) -> float | None:
+    n_seeds = min(_count_seeds(a), _count_seeds(b))
+    if n_seeds < ENOUGH_FOR_A_TEST or len(a) != len(b):
         return None
-    return float(stats.mannwhitneyu(a, b).pvalue)
+    return permutation_p([(x.rates, y.rates) for x, y in zip(a, b, strict=True)])
 
 
-def holm(p_values: Sequence[float | None] | np.ndarray) -> np.ndarray:
-    """Return Holm's adjusted p-values, same order and shape (n,) (Holm 1979).
+def contrast(plus: Cells, minus: Cells = (), alpha: float = 0.05) -> Interval:
+    """Return the mean of some cells' means minus that of others, if there are any.
 
-    NaN and None are no part of the family, and become NaN.
+    Its interval, at the level 1 - alpha, is made of those of the cells: the distances of their ends
+    from their means are added in squares (Zou & Donner 2008). A cell with a single seed leaves it
+    without an interval.
     """
-    p = np.asarray(p_values, dtype=float)
-    size = np.count_nonzero(~np.isnan(p))
-    order = np.argsort(p, kind="stable")[:size]  # NaN come last
+    value, below, above = _average(plus, alpha)
+    n = _count_seeds(plus)
+    if minus:
+        subtracted, subtracted_below, subtracted_above = _average(minus, alpha)
+        value -= subtracted
+        below = math.hypot(below, subtracted_above)
+        above = math.hypot(above, subtracted_below)
+        n = min(n, _count_seeds(minus))
+    return Interval(value, finite_or_none(value - below), finite_or_none(value + above), n)
 
-    multiplied = p[order] * np.arange(size, 0, -1)
-    adjusted = np.full(p.shape, np.nan)
-    adjusted[order] = np.minimum(np.maximum.accumulate(multiplied), 1)
-    return adjusted
+
+def _average(cells: Cells, alpha: float) -> tuple[float, float, float]:
+    """Return the mean of cells' means, and how far the ends of its interval lie below and above.
+
+    These are NaN where a cell has a single seed.
+    """
+    intervals = [mean_interval(cell.rates, cell.n_episodes, alpha) for cell in cells]
+    means = np.array([interval.value for interval in intervals], dtype=float)
+    lows = np.array([interval.low for interval in intervals], dtype=float)
+    highs = np.array([interval.high for interval in intervals], dtype=float)
+    below = np.linalg.norm(means - lows) / len(cells)
+    above = np.linalg.norm(highs - means) / len(cells)
+    return float(means.mean()), float(below), float(above)
+
+
+def _count_seeds(cells: Cells) -> int:
+    return sum(np.size(cell.rates) for cell in cells)

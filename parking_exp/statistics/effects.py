@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from parking_exp.statistics.comparisons import compare
+from parking_exp.statistics.comparisons import Difference, compare, contrast
 from parking_exp.statistics.intervals import Interval
-from parking_exp.statistics.means import SeedRates, contrast
+from parking_exp.statistics.means import SeedRates
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,14 @@ class MainEffect:
         complete: whether all combinations are there; else levels are averaged over different cells.
         largest: the highest mean minus the lowest, with an interval corrected as p; None with a
             single level.
-        p: of that difference, corrected (Bonferroni) over all pairs of levels.
+        p: of that difference, corrected (Bonferroni) over all pairs of levels; None where
+            combinations are missing.
     """
 
     factor: str
     levels: Sequence[Level]
     complete: bool
-    largest: Interval | None = None
+    largest: Difference | None = None
     p: float | None = None
 
     @property
@@ -63,8 +64,8 @@ def main_effects(
     """Return the mean of cell means for every level of every factor.
 
     Cells, (level of each factor, rates), have equal weights. Intervals and p are those of
-    `compare`; there are none if a cell of the level has a single seed. Levels are in order, numbers
-    before texts.
+    `compare`; seeds are permuted between cells that have the same levels of the other factors.
+    There is no p where combinations are missing. Levels are in order, numbers before texts.
     """
     by_factor = [_group_by_level(cells, place) for place in range(len(factors))]
     n_combinations = math.prod(len(levels) for levels in by_factor)
@@ -78,8 +79,9 @@ def main_effects(
 def _group_by_level(
     cells: Sequence[tuple[Sequence[Any], SeedRates]], place: int
 ) -> dict[Any, list[SeedRates]]:
+    """Return the cells of each level of a factor, in the order of their other levels."""
     groups: dict[Any, list[SeedRates]] = {}
-    for levels, rates in cells:
+    for levels, rates in sorted(cells, key=lambda cell: str(cell[0])):
         groups.setdefault(levels[place], []).append(rates)
     order = sorted(groups, key=lambda level: (isinstance(level, str), level))
     return {level: groups[level] for level in order}
@@ -88,9 +90,7 @@ def _group_by_level(
 def _main_effect(
     factor: str, cells: Mapping[Any, Sequence[SeedRates]], complete: bool
 ) -> MainEffect:
-    levels = [
-        Level(level, contrast(rates).interval(), len(rates)) for level, rates in cells.items()
-    ]
+    levels = [Level(level, contrast(rates), len(rates)) for level, rates in cells.items()]
     effect = MainEffect(factor, levels, complete)
     if len(levels) < 2:
         return effect
@@ -98,4 +98,4 @@ def _main_effect(
     highest, lowest = effect.extremes
     n_pairs = math.comb(len(levels), 2)
     (largest,) = compare([(cells[highest.level], cells[lowest.level])], n_pairs=n_pairs)
-    return replace(effect, largest=largest, p=largest.p_corrected)
+    return replace(effect, largest=largest, p=largest.p_corrected if complete else None)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 GAP = 0.3  # between neighbouring seeds: rare without a collapse, nearly certain with one
-COLLAPSED_COVERS = ((10, 53), (20, 64), (30, 86))  # below so many seeds, percent; 95 from 30
+COLLAPSED_COVERS = ((10, 40), (20, 63), (30, 87))  # below so many seeds, percent; 95 from 30
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,11 @@ class Interval:
     low: float | None = None
     high: float | None = None
     n: int = 0
+
+    @property
+    def excludes_0(self) -> bool:
+        """Whether 0 lies outside, of an interval that has ends."""
+        return self.low is not None and self.high is not None and not self.low <= 0 <= self.high
 
 
 def coverage_note(values: ArrayLike) -> str | None:

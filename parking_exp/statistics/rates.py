@@ -1,10 +1,8 @@
-"""Proportions with intervals: of the episodes of a run, of the seeds of a cell."""
+"""Rates of episodes and of seeds."""
 
 import math
-from dataclasses import dataclass
 from numbers import Real
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 
@@ -14,16 +12,6 @@ def finite_or_none(value: object) -> float | None:
 
 
 Z = 1.959963984540054  # the normal quantile of a two-sided 95 % interval
-
-
-@dataclass(frozen=True)
-class Proportion:
-    """`k` of `n`, with an interval of the share; None without data."""
-
-    k: int
-    n: int
-    low: float | None
-    high: float | None
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
@@ -38,19 +26,6 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     low = 0.0 if successes == 0 else centre - half
     high = 1.0 if successes == trials else centre + half
     return low, high
-
-
-def share_reaching(values: ArrayLike, threshold: float) -> Proportion:
-    """Return how many seeds reach a threshold, with Clopper and Pearson's interval of their share.
-
-    `values` has the shape (seeds,).
-    """
-    from scipy import stats
-
-    rates = np.asarray(values)
-    k = int(np.count_nonzero(rates >= threshold))
-    interval = stats.binomtest(k, len(rates)).proportion_ci()
-    return Proportion(k, len(rates), float(interval.low), float(interval.high))
 
 
 def interquartile_mean(values: ArrayLike) -> float:

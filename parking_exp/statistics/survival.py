@@ -3,13 +3,10 @@
 Runs that never reach the threshold are censored.
 """
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-
-from parking_exp.statistics.rates import finite_or_none
 
 
 @dataclass(frozen=True)
@@ -21,8 +18,6 @@ class SurvivalCurve:
 
     times: tuple[float, ...]
     reached: tuple[float, ...]
-    low: tuple[float | None, ...]
-    high: tuple[float | None, ...]
     median: float | None  # None where fewer than half have
     n: int  # runs
     k: int  # runs that have reached the threshold
@@ -66,7 +61,6 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
     """Return the product-limit estimate of the share that has reached (Kaplan & Meier 1958).
 
     It has every distinct time. `times` and `observed`, shape (runs,), are as `steps_to` gives them.
-    The interval is Greenwood's on the log-log scale; it has none where no run or all have reached.
     """
     from scipy import stats
 
@@ -74,22 +68,12 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
     is_observed = np.asarray(observed, dtype=bool)
     data = stats.CensoredData(uncensored=at[is_observed], right=at[~is_observed])
     survival = stats.ecdf(data).sf
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of undefined bounds
-        interval = survival.confidence_interval(method="log-log")
-
     reached = 1 - survival.probabilities
     halfway = np.flatnonzero(reached >= 0.5 - 1e-12)
     return SurvivalCurve(
         times=tuple(survival.quantiles.tolist()),
         reached=tuple(reached.tolist()),
-        low=_without_nan(1 - interval.high.probabilities),
-        high=_without_nan(1 - interval.low.probabilities),
         median=float(survival.quantiles[halfway[0]]) if len(halfway) else None,
         n=len(at),
         k=int(np.count_nonzero(is_observed)),
     )
-
-
-def _without_nan(bounds: np.ndarray) -> tuple[float | None, ...]:
-    return tuple(finite_or_none(bound) for bound in bounds)

@@ -156,7 +156,7 @@ def stored(runs):
         f"config.{key}": config_column(c.get(key) for c in configs) for key in set().union(*configs)
     }
     columns |= {
-        "cell": [run.config.cell for run in runs],
+        "cell": [run.config.cell_name for run in runs],
         "seed": [run.config.seed for run in runs],
     }
     return pd.DataFrame(
@@ -174,7 +174,7 @@ def stored(runs):
 )
 def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
     runs = plan(compose_runs("config", [*overrides, f"output_dir={tmp_path}"]))
-    planned = {run.config.cell: run.label for run in runs}
+    planned = {run.config.cell_name: run.label for run in runs}
     assert planned == {cell.name: cell.label for cell in group_runs(stored(runs))}
     assert expected is None or set(planned.values()) == expected
 

@@ -14,7 +14,7 @@ from support.store_factory import Look, make_store
 from parking_exp.reports.make_report import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.search_report import add_tuning
-from parking_exp.results import load
+from parking_exp.results import load, write_export
 from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.trials import TrialRow
 
@@ -131,11 +131,20 @@ def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
     assert add_tuning(report_of(export), export.tuning).claims == data.claims
 
 
-def test_an_export_without_a_report_is_a_sentence(folder, tmp_path):
+def test_an_export_written_in_python_has_the_same_report(source, folder, tmp_path):
+    write_export(source.results, tmp_path / "own")
+    own = read_report_export(str(tmp_path / "own"))
+    assert own.tuning is None
+    assert report_of(own).claims == report_of(read_report_export(str(folder))).claims
+    report(tmp_path, "from=own", "report.formats=[]")
+    assert (tmp_path / "reports" / "one" / "index.html").is_file()
+
+
+def test_an_export_whose_report_is_no_mapping_is_a_sentence(folder, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     about = json.loads((copy / "report.json").read_text())
-    del about["report"]
+    about["report"] = "all"
     (copy / "report.json").write_text(json.dumps(about) + "\n")
     assert f"{copy}/report.json" in report(tmp_path, f"from={copy}", code=2).stderr
 

@@ -109,15 +109,15 @@ def test_unknown_numbers_are_empty(tmp_path):
     tables = written(replace(report, cells=[report.cells[0], odd, report.cells[2]]), tmp_path)
     rows = tables["headline"]
     assert [rows[1][name] for name in ("cpu_s", "cpu_s_low", "cpu_s_high")] == ["", "", ""]
-    empty = ("success", "success_low", "survival_median", "lowest", "iqm", "reaching_95_low")
+    empty = ("success", "success_low", "survival_median", "lowest", "iqm", "reaching_95")
     assert [rows[2][name] for name in empty] == [""] * len(empty)
-    assert (rows[2]["runs_failed"], rows[0]["reaching_95_k"]) == ("10", "10")
+    assert (rows[2]["runs_failed"], rows[0]["reaching_95"]) == ("10", "10")
     failed = [
         line
         for line in (tmp_path / "headline.tex").read_text().splitlines()
         if line.startswith("ddpg")
     ]
-    assert failed == [r"ddpg & 0 of 10 & -- & -- & -- & -- \\", r"ddpg & -- & -- \\"]
+    assert failed == [r"ddpg & 0 of 10 & -- & -- & -- & -- \\", r"ddpg & -- \\"]
     assert len(tables["unfinished"]) == 10
 
 

@@ -1,4 +1,4 @@
-"""Simulate how often confidence intervals cover, by number of seeds.
+"""Simulate how often intervals cover, and how often the test errs, by number of seeds.
 
 A seed's true rate is drawn from a Beta distribution, or is 0 if the seed collapses; its measured
 rate is over 100 or 500 episodes. `PYTHONPATH=. python tests/support/coverage_simulation.py` prints
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parking_exp.statistics import SeedRates, compare, coverage_note, mean_interval
+from parking_exp.statistics.permutation import permutation_p
 
 DRAWS = 2000
 EPISODES = (100, 500)
@@ -53,6 +54,7 @@ DEVIATIONS = {
     0.999: (0.001,),
     0.9999: (0,),
 }
+LEVELS = (0.05, 0.005, 0.0011)
 HEALTHY = tuple(
     Rates(mean, deviation) for mean, deviations in DEVIATIONS.items() for deviation in deviations
 )
@@ -80,6 +82,24 @@ SKEWED_PAIRS = (
 )
 
 
+# Pairs of equal cells: healthy, at the ceiling, and with seeds that collapse; and of unequal ones.
+EQUAL = tuple(
+    (rates, rates)
+    for rates in (
+        Rates(0.9, 0.08),
+        Rates(0.999, 0.001),
+        Rates(0.99, 0.01, failing=0.05),
+        Rates(0.99, 0.01, failing=0.1),
+    )
+)
+UNEQUAL = (
+    (Rates(0.9, 0.03), Rates(0.95, 0.03)),
+    (Rates(0.98, 0.015), Rates(0.995, 0.005)),
+    (Rates(0.99, 0.01, failing=0.1), Rates(0.99, 0.01)),
+    (Rates(0.8, 0.08), Rates(0.95, 0.03)),
+)
+
+
 def of_mean(rates, n, draws=DRAWS, episodes=100):
     """Return in which of the draws `mean_interval` holds the mean of all seeds."""
     intervals = [
@@ -104,6 +124,15 @@ def of_difference(a, b, n, draws=DRAWS, episodes=100, alpha=0.05):
     )
 
 
+def p_values(a, b, n, draws=DRAWS, episodes=100):
+    """Return the p of `compare` in each of the draws, for a test of its levels or of its power."""
+    first = a.measured(n, draws, 2, episodes)
+    second = b.measured(n, draws, 3, episodes)
+    return np.array(
+        [permutation_p([(row_a, row_b)]) for row_a, row_b in zip(first, second, strict=True)]
+    )
+
+
 def speaks(rates, n, draws=400):
     """Return in which of the draws `coverage_note` says something."""
     return np.array([coverage_note(row) is not None for row in rates.measured(n, draws, seed=2)])
@@ -113,7 +142,14 @@ def main():
     """Print the coverage of everything, in percent, by number of seeds, with 100 and with 500
     episodes.
     """
-    print("seeds", *SEEDS)
+    print("share of draws with p at or below", *LEVELS, "by number of seeds", *SEEDS)
+    for name, pairs in (("equal", EQUAL), ("unequal", UNEQUAL)):
+        for pair in pairs:
+            p = [p_values(*pair, n, 10_000) for n in SEEDS]
+            shares = [[f"{100 * (of_n <= level).mean():.2f}" for level in LEVELS] for of_n in p]
+            print(name, *pair, *map("/".join, shares), flush=True)
+
+    print("coverage, by number of seeds", *SEEDS)
     tables = (
         ("mean", of_mean, [(rates,) for rates in HEALTHY + TAILED + COLLAPSING]),
         ("difference", of_difference, PAIRS + SKEWED_PAIRS),

@@ -151,8 +151,7 @@ def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
     yield (
         figure,
         "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier "  # noqa: RUF001
-        f"estimate; {n_seeds}), with 95 % intervals where some have. Crosses (+): seeds not there "
-        "when their observation ended.",
+        f"estimate; {n_seeds}). Crosses (+): seeds not there when their observation ended.",
     )
 
 
@@ -163,11 +162,7 @@ def _draw_survival(axes: Axes, cell: CellSummary, curve: SurvivalCurve) -> None:
         if seed.steps_to_90 is not None and not seed.reached_90:
             censored.append(seed.steps_to_90)
     time = [0.0, *curve.times, max([*curve.times, *censored])]
-    share, low, high = (
-        percentages([0.0, *values, values[-1]]) for values in (curve.reached, curve.low, curve.high)
-    )
-    if curve.k:
-        axes.fill_between(time, low, high, step="post", color=style.colour, alpha=0.07, linewidth=0)
+    share = percentages([0.0, *curve.reached, curve.reached[-1]])
     axes.step(time, share, where="post", **style.lines)
     at = np.searchsorted(curve.times, censored)
     axes.plot(censored, share[at + 1], linestyle="", marker="+", markersize=6, color=style.colour)

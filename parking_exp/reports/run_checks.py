@@ -1,0 +1,83 @@
+"""Find stored numbers of runs that can't be right, or that do not fit together."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from parking_exp.errors import quoted_label
+from parking_exp.reports.cell_selection import CellRuns
+from parking_exp.reports.cell_summaries import RunEvaluations
+from parking_exp.results.frames import Results
+
+
+def leave_out_impossible_rates(results: Results) -> Results:
+    """Return results without rates outside 0 ... 1; `problems` has a sentence for each."""
+    names = {}
+    for run in results.runs.to_dict("records"):
+        names[run["run_id"]] = f"{run['cell']} seed={run['seed']}"
+    runs, run_problems = _leave_out_impossible(results.runs, names)
+    curves, curve_problems = _leave_out_impossible(results.curves, names)
+    problems = (*run_problems, *curve_problems, *results.problems)
+    return replace(results, runs=runs, curves=curves, problems=problems)
+
+
+def _leave_out_impossible(
+    frame: pd.DataFrame, names: Mapping[str, str]
+) -> tuple[pd.DataFrame, list[str]]:
+    """Return a frame with a column `run_id` without impossible rates, and a sentence for each."""
+    kept = frame.copy()
+    problems = []
+    for column in frame.filter(regex="_rate$"):
+        is_impossible = (frame[column] < 0) | (frame[column] > 1)
+        for run in frame[is_impossible].to_dict("records"):
+            name = names[run["run_id"]]
+            problems.append(f"{name}: {column} {run[column]:g} is no rate, and is left out.")
+        kept.loc[is_impossible, column] = np.nan
+    return kept, problems
+
+
+def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> Iterator[str]:
+    """Yield where rates, outcomes and curves are not of the same runs and episodes."""
+    for cell in cells:
+        contradicting = []
+        without_outcomes = []
+        without_curves = []
+        for run in cell.done.to_dict("records"):
+            seed = run["seed"]
+            episodes = evaluations.final.get(run["run_id"])
+            if episodes is None or len(episodes) < run["n_scenes"]:
+                without_outcomes.append(seed)
+            elif _contradicts(run["success_rate"], episodes["outcome"]):
+                contradicting.append(seed)
+            if run["run_id"] not in evaluations.whole_curves:
+                without_curves.append(seed)
+
+        label = quoted_label(cell.label)
+        if contradicting:
+            yield (
+                f"{label}: stored success contradicts the outcomes of the episodes of "
+                f"{_list_seeds(contradicting)}."
+            )
+        if 0 < len(without_outcomes) < len(cell.done):
+            yield (
+                f"{label}: outcomes are missing of {_list_seeds(without_outcomes)}. What is made "
+                "of outcomes is of other episodes than the rates."
+            )
+        if 0 < len(without_curves) < len(cell.done):
+            yield (
+                f"{label}: evaluations during training are missing of "
+                f"{_list_seeds(without_curves)}. AUC and times are of other seeds than the rates."
+            )
+
+
+def _contradicts(success_rate: float, outcomes: pd.Series) -> bool:
+    """Return whether a rate is off by more than half an episode."""
+    share = (outcomes == "success").mean()
+    return abs(success_rate - share) > 0.5 / len(outcomes)
+
+
+def _list_seeds(seeds: Sequence[int]) -> str:
+    numbers = [str(seed) for seed in seeds]
+    return f"seed {numbers[0]}" if len(numbers) == 1 else f"seeds {', '.join(numbers)}"
