@@ -13,7 +13,7 @@ from rich.console import Console
 
 from parking_exp.cli.command import rename_experiment, run_command
 from parking_exp.config.compose import compose_configs
-from parking_exp.config.paths import default_uri
+from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import Name
@@ -112,10 +112,12 @@ def _delete_stored(directory: RunDirectory, stores: list[Store]) -> None:
 
 def _stores(request: StatusRequest) -> list[Store]:
     """Return the stores of a request; those that a run directory names may come from elsewhere."""
-    uris = [default_uri(request.output_path)]
-    if request.tracking.uri is not None:
-        uris.append(request.tracking.uri)
-    return [Store(uri, request.output_path) for uri in uris]
+    folder = request.output_path
+    stores = [Store(default_uri(folder), folder)]
+    chosen = request.tracking.uri
+    if chosen is not None and not is_same_store(chosen, stores[0].uri):
+        stores.append(Store(chosen, folder))
+    return stores
 
 
 def _sync(request: StatusRequest) -> None:

@@ -118,6 +118,16 @@ def test_a_damaged_file_of_an_evaluation_does_not_replace_what_the_store_has(
     assert stored_files(finished) == before
 
 
+@pytest.mark.parametrize("uri", ["sqlite:///{output_dir}/mlflow.db", "sqlite:///mlflow.db"])
+def test_a_store_that_is_named_twice_is_synced_once(finished, uri):
+    half(finished.path / "metrics.jsonl")
+    chosen = f"tracking.uri={uri.format(output_dir=finished.output_dir)}"
+    options = (f"output_dir={finished.output_dir}", "sync=true", chosen)
+    synced = call_script("status", *options, cwd=finished.output_dir)
+    assert synced.stderr.count("metrics.jsonl changed after the run was finished") == 1
+    assert "files and store differ for 1 run;" in synced.stderr
+
+
 def test_a_status_that_can_t_be_read_is_a_problem_of_a_sync(finished):
     (finished.path / "status.json").write_text("")
     synced = sync_stored(finished.output_dir)
