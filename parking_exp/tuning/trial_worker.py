@@ -11,7 +11,7 @@ from statistics import mean
 from typing import TYPE_CHECKING
 
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, OutputDirectoryError
+from parking_exp.errors import ConfigError, OutputDirectoryError, ResultsError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.run_plans import write_plan
@@ -119,7 +119,11 @@ def _may_succeed(state: RunState) -> bool:
 
 
 def success_auc(directory: RunDirectory) -> float:
-    """Return the normalised area under a run's success curve, with its final evaluation."""
+    """Return the normalised area under a run's success curve, with its final evaluation.
+
+    Raises:
+        ResultsError: the files with its results were deleted.
+    """
     rates = {}
     for record in read_metrics(directory.path / METRICS_FILE):
         if "eval/success_rate" in record["metrics"]:
@@ -127,5 +131,10 @@ def success_auc(directory: RunDirectory) -> float:
     result = directory.result()
     if result is not None and "final/success_rate" in result.metrics:
         rates[result.steps] = result.metrics["final/success_rate"]
+    if not rates:
+        raise ResultsError(
+            f"{directory.path}: the finished run has no success rate left; delete the directory to "
+            "train it again"
+        )
     steps = sorted(rates)
     return normalised_area(steps, [rates[step] for step in steps])

@@ -3,13 +3,14 @@
 import errno
 import json
 import os
+import shutil
 
 import optuna
 import pytest
 from support.runs import make_config
 from support.searches import QUICK
 
-from parking_exp.errors import OutputDirectoryError
+from parking_exp.errors import OutputDirectoryError, ResultsError
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.search import Search, study_in
@@ -106,3 +107,22 @@ def test_the_objective_is_the_normalised_area_under_the_success_curve(tmp_path):
         RunResult(str(directory.path), None, 5000, {"final/success_rate": 1.0}), wall_s=1
     )
     assert success_auc(directory) == pytest.approx((0.25 + 0.73 + 0.955 + 0.975) / 4)
+
+
+def test_results_that_were_deleted_end_the_search_and_deleting_their_run_mends_it(search):
+    def stop_at_second_seed(path):
+        return "stopped" if path.name == "seed=1002" else succeed(path)
+
+    work(search, stop_at_second_seed)
+    path = search.base.output_path / trials(search)[0].runs[0]
+    (path / "result.json").unlink()
+    with pytest.raises(ResultsError) as refused:
+        work(search, succeed)
+    assert str(refused.value) == (
+        f"{path}: the finished run has no success rate left; delete the directory to train it again"
+    )
+    assert trials(search)[0].state == "pending"
+
+    shutil.rmtree(path)
+    work(search, succeed)
+    assert [trial.by_seed for trial in trials(search)] == [[0.5, 0.5]] * 2
