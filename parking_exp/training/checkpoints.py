@@ -8,7 +8,6 @@ was not interrupted. Nothing is unpickled.
 
 import shutil
 import time
-import zipfile
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -196,7 +195,7 @@ def _write_zip(model: OffPolicyAlgorithm, path: Path, exclude: Iterable[str] = (
     if possible == now[:6]:
         model.save(path, exclude=exclude)
         return
-    with patch.object(zipfile.time, "localtime", return_value=possible):  # type: ignore[attr-defined]
+    with patch("time.localtime", return_value=possible):
         model.save(path, exclude=exclude)
 
 
