@@ -156,6 +156,20 @@ def test_an_experiment_file_may_be_anywhere(tmp_path):
         make_config(line)
 
 
+def test_a_cell_that_two_blocks_write_in_different_ways_is_one_cell(tmp_path):
+    path = tmp_path / "overlapping.yaml"
+    path.write_text(
+        "# @package _global_\nexperiment_name: own\nseeds: 2\ncells:\n"
+        "  - algorithm.gamma: [0.9, 0.95]\n"
+        "  - {algorithm: sac, algorithm.gamma: [0.95, 0.99]}\n"
+    )
+    runs = compose_runs("config", [f"experiment={path}"])
+    expected = [(gamma, seed) for seed in (0, 1) for gamma in (0.9, 0.95, 0.99)]
+    assert [(run.cell.algorithm.gamma, run.seed) for run in runs] == expected
+    config = compose(f"experiment={path}", "algorithm.gamma=0.95", "seed=3")
+    assert (config.algorithm.arguments["gamma"], config.seed) == (0.95, 3)
+
+
 @pytest.mark.parametrize(
     ("override", "labels"),
     [
