@@ -168,7 +168,11 @@ def evaluate_runs(
 
 
 def _find_evaluations(requests: Sequence[EvaluationRequest]) -> list[Evaluation]:
-    """Return each agent that is asked for, with the env that it is evaluated on."""
+    """Return each agent that is asked for, with the env that it is evaluated on.
+
+    Raises:
+        ConfigError: an agent can't be evaluated on its env, or the env is wrong.
+    """
     find = cache(find_agents)  # once, for all the envs that they are evaluated on
     evaluations = []
     for request in requests:
@@ -180,7 +184,16 @@ def _find_evaluations(requests: Sequence[EvaluationRequest]) -> list[Evaluation]
             agents = find(run, request.output_path, request.model, trust=request.trust)
         for agent in agents:
             evaluations.append(Evaluation(request, agent, choose_env(request, agent)))
+    _check_envs(evaluations)
     return evaluations
+
+
+def _check_envs(evaluations: Sequence[Evaluation]) -> None:
+    """Check each env once for all its agents: making one may take seconds."""
+    envs = {evaluation.env.model_dump_json(): evaluation.env for evaluation in evaluations}
+    for env in envs.values():
+        with closing(make_task(env)) as task:
+            refuse([*env.problems(), *task.problems()])
 
 
 def _table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, float]]) -> str:
@@ -298,7 +311,7 @@ def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
     """Return the env that an agent is evaluated on, with the agent's observation.
 
     Raises:
-        ConfigError: it is wrong, or of another task.
+        ConfigError: its keys are wrong, or it is of another task.
     """
     trained_on = agent.config.env
     requested: Any = request.env or {}
@@ -325,6 +338,4 @@ def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
             f"first_scene={request.first_scene} overlaps the training seeds; it can be at most "
             f"{highest}"
         )
-    with closing(make_task(env)) as task:
-        refuse([*env.problems(), *task.problems()])
     return env

@@ -20,6 +20,7 @@ from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
+from parking_exp.tasks.parking.parking_task import ParkingTask
 
 
 @pytest.fixture
@@ -110,6 +111,23 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     RunDirectory(directory.path).update(status="running")
     done = call_script("evaluate", *arguments)
     assert "none of its 2 runs is finished" in done.stderr
+
+
+def test_an_env_is_checked_once_for_all_its_agents(finished, monkeypatch):
+    directory, output_dir = finished
+    shutil.copytree(directory.path, directory.path.with_name("seed=8"))
+    checked = []
+
+    def problems(task):
+        checked.append(task.config.vehicles_count)
+        return ["env is wrong"] if task.config.vehicles_count == 20 else []
+
+    monkeypatch.setattr(ParkingTask, "problems", problems)
+    options = [f"output_dir={output_dir}", "episodes=3", "env.vehicles_count=0,20"]
+    done = call_script("evaluate", f"run={directory.path.parents[1]}", *options)
+    assert (done.returncode, done.stderr) == (2, "error: env is wrong\n")
+    assert checked == [0, 20]
+    assert not (directory.path / "evaluations").exists()
 
 
 def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
