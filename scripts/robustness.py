@@ -93,7 +93,7 @@ class Column:
         for agent in find_agents(run, Path("outputs")):
             assert isinstance(agent.config.env, ParkingConfig)
             with closing(make_task(agent.config.env)) as task:
-                self.agents.append((greedy_policy(agent.model(task)), agent.config.env))
+                self.agents.append((greedy_policy(agent.load(task)), agent.config.env))
         _, env = self.agents[0]
         weighs_velocity = any(env.reward_weights[2:4])
         self.metric = "parked" if weighs_velocity else "success"

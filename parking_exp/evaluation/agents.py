@@ -49,8 +49,8 @@ class Agent:
         label = self.directory.read_status().get("label", self.config.options)
         return f"{self.config.experiment_name}: {label} ({self.config.cell_key})"
 
-    def model(self, task: "Task") -> "OffPolicyAlgorithm":
-        """Return the model with its weights, for predicting in a task.
+    def load(self, task: "Task") -> "OffPolicyAlgorithm":
+        """Load the model with its weights, for predicting in a task.
 
         It raises what `load_model` does. The model's env is one of the task.
         """
@@ -153,7 +153,7 @@ def load_model(
 
     folder = directory_path(output_dir)
     agent = find_agent(run, folder, model, trust=trust, trust_option="trust=True")
-    return agent.model(make_task(agent.config.env))
+    return agent.load(make_task(agent.config.env))
 
 
 def is_pretrained(run: str) -> bool:

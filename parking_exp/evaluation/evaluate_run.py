@@ -240,7 +240,7 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
     with closing(make_task(evaluation.env)) as task:
-        policy = greedy_policy(agent.model(task))
+        policy = greedy_policy(agent.load(task))
         with (
             torch_settings(agent.config),
             evaluation_progress(len(request.seeds), evaluation.env.name) as show,

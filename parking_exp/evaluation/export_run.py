@@ -92,7 +92,7 @@ def _write(export: Export) -> None:
 
     to_bytes = export_onnx if export.request.format == "onnx" else export_safetensors
     with closing(make_task(agent.config.env)) as task:
-        content = to_bytes(agent.model(task))
+        content = to_bytes(agent.load(task))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:

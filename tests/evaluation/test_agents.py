@@ -62,7 +62,7 @@ def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
     assert agent.config.seed == 0
     assert agent.config.env.name == env
     task = make_task(agent.config.env)
-    episodes = evaluate(greedy_policy(agent.model(task)), task, range(50))
+    episodes = evaluate(greedy_policy(agent.load(task)), task, range(50))
     assert summarise(episodes, METRICS)[metric] == rate
 
 
@@ -156,4 +156,4 @@ def test_a_damaged_policy_is_refused(damage, tmp_path, monkeypatch):
     monkeypatch.setattr(agents, "PRETRAINED_DIR", tmp_path)
     agent = find_agent("pretrained", tmp_path)
     with pytest.raises(ModelError, match=r"policy.safetensors is damaged"):
-        agent.model(make_task(agent.config.env))
+        agent.load(make_task(agent.config.env))

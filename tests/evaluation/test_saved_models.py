@@ -76,7 +76,7 @@ def restored(path, output_dir, *arguments):
     words = [f"run='{path}'", f"output_dir='{output_dir}'", "env=parking", *arguments]
     request = validate_request(compose_configs("evaluate", words)[0])
     agent = find_saved_model(request.run, request.output_path, request.env, request.algorithm or {})
-    return agent.model(make_task(agent.config.env))
+    return agent.load(make_task(agent.config.env))
 
 
 def change(path, name, content):
