@@ -83,7 +83,10 @@ def make_output_unfailing() -> None:
 
 
 def check_output() -> None:
-    """Raise the OSError of a standard output that was lost, in commands that make nothing else."""
+    """Raise the OSError of a standard output that was lost.
+
+    Only commands that do nothing but print call this.
+    """
     sys.stdout.flush()
     error = getattr(sys.stdout, "error", None)
     if error is not None:
@@ -91,8 +94,9 @@ def check_output() -> None:
 
 
 def open_standard_streams() -> None:
-    """Open standard streams that are closed, or else the next file would get their descriptors, and
-    the output.
+    """Open standard streams that are closed.
+
+    Otherwise the next file would get the descriptor of one, and then its output.
     """
     for descriptor in range(3):
         try:

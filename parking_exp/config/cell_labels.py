@@ -255,8 +255,9 @@ def _change_together(values: Sequence[Setting], column: Sequence[Setting]) -> bo
 
 
 def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
-    """Return the values, with "null" where the group's option has the key, judged by other cells
-    with this option.
+    """Return the values of a key, with "null" where it is missing but its group's option has it.
+
+    An option has the key if it has a value in any cell with this option.
     """
     options = [config.get(f"{key.partition('.')[0]}.name") for config in configs]
     pairs = list(zip(options, values, strict=True))

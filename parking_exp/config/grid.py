@@ -28,10 +28,10 @@ def expand_points(
 ) -> list[Point]:
     """Return the overrides of every cell.
 
-    Values on the command line select from the blocks that list them; blocks without any of them are
-    dropped. A value that no block lists replaces the values of each block that sweeps over its key;
-    a label that none lists is an error. Any other key becomes an axis of each block whose configs
-    have it.
+    Values on the command line select from the blocks that list them, and drop blocks without any
+    of them. A value that no block lists replaces the values of each block that sweeps over its key.
+    A label that no block lists is an error. Any other key becomes an axis of each block whose
+    configs have it.
 
     Args:
         blocks: of the experiment file; none: a single cell.

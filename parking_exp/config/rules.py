@@ -118,8 +118,8 @@ def _check_algorithm(run: RunConfig) -> Iterator[str]:
 def update_ratio_warning(run: RunConfig) -> str | None:
     """Return a sentence if the update-to-data ratio is far from what the number of envs suggests.
 
-    Of the cells of experiment=envs_and_updates, those with one update per env step up to 8 envs,
-    and 8 updates per step of all envs from there on, learn well for their cost.
+    The suggestion comes from experiment=envs_and_updates. Up to 8 envs, one update per env step
+    learns well for its cost. With more, 8 updates per step of all envs do.
     """
     suggested = min(1, 8 / run.n_envs)
     if suggested / FAR <= run.updates_per_step <= suggested * FAR:

@@ -232,7 +232,8 @@ class RunConfig(OutputConfig):
 
     def _trained_part(self) -> dict[str, Any]:
         """Return the keys that can change the training or its learning curve."""
-        # Without defaults: a new key keeps the hashes of older runs.
+        # Values that are defaults are left out, so that a new key does not change the hashes of
+        # older runs.
         part = result_part(self.model_dump(by_alias=True, exclude_defaults=True))
         part["evaluation"] = self.evaluation.model_dump(exclude=FINAL_EVALUATION)
         return part

@@ -65,8 +65,9 @@ def import_mlflow() -> None:
 
 @cache
 def say_ignored_store() -> None:
-    """Say once that MLflow's own variable chooses no store; else run directories of others would be
-    sent there.
+    """Say once that MLflow's own variable chooses no store.
+
+    If it did, run directories of others would be sent there.
     """
     if os.environ.get("MLFLOW_TRACKING_URI"):
         say(
