@@ -8,7 +8,6 @@ import shutil
 import sys
 import textwrap
 from argparse import ArgumentParser
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral
@@ -31,10 +30,17 @@ from parking_exp.results import Results, read_export
 from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
-EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
-FULL_TABLES, PROVENANCE = DOCS / "full_tables.md", DOCS / "provenance.md"
+EXPORTS = DOCS / "results"
+README = ROOT / "README.md"
+PAGE = DOCS / "results.md"
+FULL_TABLES = DOCS / "full_tables.md"
+PROVENANCE = DOCS / "provenance.md"
 # The others have final_success.
-FIGURES = dict.fromkeys(("algorithms", "goal_tasks", "tutorial"), "learning_curves")
+FIGURES = {
+    "algorithms": "learning_curves",
+    "goal_tasks": "learning_curves",
+    "tutorial": "learning_curves",
+}
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
     "goal_tasks": ("env=point_maze",),
     "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),
@@ -48,7 +54,8 @@ PACKAGES = (
     "torch",
     "python",
 )
-LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
+LINK = re.compile(r"\[[^\]]*\]\([^)]*\)")
+NO_BREAK = "\0"  # stands for a space in a link while lines are wrapped
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 COLUMNS = {
     "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
@@ -82,10 +89,8 @@ class Experiment:
 
     def only(self, *cells: str, baseline: str | None = None) -> "Experiment":
         """Return the experiment with some of its cells, selected as by `scripts/report.py`."""
-        return Experiment(
-            self.results,
-            build_report(self.results, self.report.experiments, cells=cells, baseline=baseline),
-        )
+        report = build_report(self.results, self.report.experiments, cells=cells, baseline=baseline)
+        return Experiment(self.results, report)
 
     def cell(self, label: str) -> CellSummary:
         """Return the cell with a label."""
@@ -100,8 +105,7 @@ class Experiment:
         100.0 %)`.
         """
         cell = self.cell(label)
-        rates = [seed.metric(metric) or 0.0 for seed in cell.seeds]
-        low, high = formats.percent(min(rates)), formats.percent(max(rates))
+        low, high = _ends(cell, metric)
         return f"{formats.rate_text(cell.metric(metric).value)} ({low} to {high} %)"
 
     def cpu_s(self, label: str) -> str:
@@ -122,7 +126,8 @@ class Experiment:
         0.012`.
         """
         pair = self._pair(first, second)
-        pair = pair if pair.a == self.cell(first).id else pair.reverse()
+        if pair.a != self.cell(first).id:
+            pair = pair.reverse()
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_corrected)}"
 
     def ranks(self, first: str, second: str) -> str:
@@ -136,9 +141,8 @@ class Experiment:
     def mean(self, key: str, level: object) -> str:
         """Return the mean success of the cells with a value of a config key, with its interval."""
         factor = next(effect for effect in self.report.effects if effect.factor == key)
-        return formats.rate_interval(
-            next(item.effect for item in factor.levels if item.level == level)
-        )
+        effects = {item.level: item.effect for item in factor.levels}
+        return formats.rate_interval(effects[level])
 
     def table(self, factors: dict[str, str], *columns: str, labels: tuple[str, ...] = ()) -> str:
         """Return a Markdown table of cells.
@@ -148,43 +152,41 @@ class Experiment:
             columns: names in COLUMNS.
             labels: labels of the cells, in the order of the rows; empty: all cells.
         """
-        heads = [*(factors.values() or ["cell"]), *(COLUMNS[name][0] for name in columns)]
-        lines = [_row(heads), _row([*(":---" for _ in factors or [0]), *("---:" for _ in columns)])]
         cells = [self.cell(label) for label in labels] or self.report.cells
+        headings = list(factors.values()) or ["cell"]
+        rows = []
         for cell in cells:
             names = [self._setting(cell, key) for key in factors] or [f"`{cell.label}`"]
-            lines.append(_row([*names, *(COLUMNS[name][1](cell) for name in columns)]))
-        return "\n".join(lines)
+            values = [COLUMNS[name][1](cell) for name in columns]
+            rows.append(names + values)
+        return _table(headings, [COLUMNS[name][0] for name in columns], rows)
 
     def grid(self, row: str, column: str) -> str:
         """Return a Markdown table of success by two config keys, in percent; cells without one of
         them are left out.
         """
-        rates = {
-            place: formats.percent_interval(cell.success)
-            for cell in self.report.cells
-            if all(place := (self._setting(cell, row), self._setting(cell, column)))
-        }
-        rows, columns = (list(dict.fromkeys(place[axis] for place in rates)) for axis in (0, 1))
-        row_name, column_name = (
-            key.removesuffix(".name").rpartition(".")[2] for key in (row, column)
-        )
-        lines = [
-            [f"`{row_name}`", *(f"`{column_name}={value}`" for value in columns)],
-            [":---", *("---:" for _ in columns)],
-        ]
-        lines += [[value, *(rates.get((value, other), "") for other in columns)] for value in rows]
-        return "\n".join(map(_row, lines))
+        rates: dict[tuple[str, str], str] = {}
+        for cell in self.report.cells:
+            value = self._setting(cell, row)
+            other = self._setting(cell, column)
+            if value and other:
+                rates[value, other] = formats.percent_interval(cell.success)
+        values = dict.fromkeys(value for value, _ in rates)
+        others = dict.fromkeys(other for _, other in rates)
+
+        headings = [f"`{_last_part(column)}={other}`" for other in others]
+        rows = []
+        for value in values:
+            rows.append([value, *(rates.get((value, other), "") for other in others)])
+        return _table([f"`{_last_part(row)}`"], headings, rows)
 
     def _setting(self, cell: CellSummary, key: str) -> str:
         value: Any = self._runs.at[cell.seeds[0].run_id, f"config.{key}"]
-        return (
-            ""
-            if pd.isna(value)
-            else f"{value:,}"
-            if isinstance(value, Integral)
-            else formats.setting(value)
-        )
+        if pd.isna(value):
+            return ""
+        if isinstance(value, Integral):
+            return f"{value:,}"
+        return formats.setting(value)
 
     @cached_property
     def _runs(self) -> pd.DataFrame:
@@ -192,24 +194,23 @@ class Experiment:
 
     def environment(self) -> str:
         """Return the package versions of the runs."""
-        origin = self.report.provenance
-        versions = [
-            f"{name} {', '.join(origin.versions[name])}"
-            for name in PACKAGES
-            if name in origin.versions
-        ]
-        return ", ".join(versions)
+        versions = self.report.provenance.versions
+        texts = []
+        for name in PACKAGES:
+            if name in versions:
+                texts.append(f"{name} {', '.join(versions[name])}")
+        return ", ".join(texts)
 
     @property
     def cross_checked(self) -> str:
         """Number of scenes of a run that were cross-checked on highway-env."""
-        if "config.env.simulator" not in self.results.runs:
+        runs = self.results.runs
+        if "config.env.simulator" not in runs:
             return "none"
-        if (self.results.runs["config.env.simulator"] == "highway_env").all():
+        if (runs["config.env.simulator"] == "highway_env").all():
             return "all"
-        return ", ".join(
-            map(str, self.results.runs["config.evaluation.n_certified_scenes"].unique())
-        )
+        numbers = runs["config.evaluation.n_certified_scenes"].unique()
+        return ", ".join(map(str, numbers))
 
     @property
     def runs(self) -> int:
@@ -229,9 +230,8 @@ def main(arguments: list[str]) -> int:
         "--check", action="store_true", help="write nothing; fail if a text is not up to date"
     )
     only_check = parser.parse_args(arguments).check
-    experiments = {
-        folder.name: _experiment(folder) for folder in sorted(EXPORTS.iterdir()) if folder.is_dir()
-    }
+    folders = [folder for folder in sorted(EXPORTS.iterdir()) if folder.is_dir()]
+    experiments = {folder.name: _experiment(folder) for folder in folders}
     texts = {
         PAGE: _rendered("page", experiments),
         FULL_TABLES: _rendered("full_tables", experiments),
@@ -241,25 +241,20 @@ def main(arguments: list[str]) -> int:
     stale = [path for path, text in texts.items() if path.read_text(encoding="utf-8") != text]
     if only_check:
         for path in stale:
-            say(
-                f"{path.relative_to(ROOT)} is not up to date with docs/results; run make "
-                "results-page"
-            )
+            page = path.relative_to(ROOT)
+            say(f"{page} is not up to date with docs/results; run make results-page")
         return int(bool(stale))
+
     for path in stale:
         path.write_text(texts[path], encoding="utf-8")
     for name, experiment in experiments.items():
         if f"images/results_{name}.png" in texts[PAGE]:
-            _draw(
-                name,
-                experiment.only(*FIGURE_CELLS[name]).report
-                if name in FIGURE_CELLS
-                else experiment.report,
-            )
-    say(
-        f"written        {', '.join(str(path.relative_to(ROOT)) for path in texts)}, "
-        "docs/images/results_*.png"
-    )
+            shown = experiment
+            if name in FIGURE_CELLS:
+                shown = experiment.only(*FIGURE_CELLS[name])
+            _draw(name, shown.report)
+    names = ", ".join(str(path.relative_to(ROOT)) for path in texts)
+    say(f"written        {names}, docs/images/results_*.png")
     return 0
 
 
@@ -273,45 +268,48 @@ def _readme(experiments: dict[str, Experiment]) -> str:
     """Return README with its parts between `<!-- results: NAME -->` and `<!-- end of results -->`
     filled in.
     """
-    text = README.read_text(encoding="utf-8")
-    return MARKED.sub(
-        lambda match: f"{match[1]}{_rendered(match['name'], experiments).strip()}\n{match[3]}", text
-    )
+
+    def fill(match: re.Match[str]) -> str:
+        text = _rendered(match["name"], experiments).strip()
+        return f"{match[1]}{text}\n{match[3]}"
+
+    return MARKED.sub(fill, README.read_text(encoding="utf-8"))
 
 
 def _rendered(name: str, experiments: dict[str, Experiment]) -> str:
     """Return the template docs/results/NAME.md.jinja, filled in and wrapped."""
     text = (EXPORTS / f"{name}.md.jinja").read_text(encoding="utf-8")
     # Markdown needs no escaping of HTML.
-    template = Environment(
+    environment = Environment(
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         autoescape=False,
-    ).from_string(text)
+    )
+    template = environment.from_string(text)
     return _wrapped(template.render(experiments, tables=experiments))
 
 
 def _wrapped(text: str) -> str:
     """Wrap paragraphs and lists, whose lines get longer when numbers are filled in."""
-    blocks = re.split(r"(```.*?```)", re.sub(r"\n{3,}", "\n\n", text), flags=re.DOTALL)
-    return "".join(
-        block if number % 2 else "\n\n".join(_paragraphs(block))
-        for number, block in enumerate(blocks)
-    )
+    text = re.sub(r"\n{3,}", "\n\n", text)
+    blocks = re.split(r"(```.*?```)", text, flags=re.DOTALL)  # every second one is code
+    for number in range(0, len(blocks), 2):
+        paragraphs = blocks[number].split("\n\n")
+        blocks[number] = "\n\n".join(map(_wrapped_paragraph, paragraphs))
+    return "".join(blocks)
 
 
-def _paragraphs(text: str) -> Iterator[str]:
-    for paragraph in text.split("\n\n"):
-        if paragraph.lstrip().startswith(("|", "#", "!", "<")) or not paragraph.strip():
-            yield paragraph
-            continue
-        start, end = (
-            ("\n" if edge else "")
-            for edge in (paragraph.startswith("\n"), paragraph.endswith("\n"))
-        )
-        yield start + "\n".join(map(_filled, re.split(r"\n(?=- )", paragraph.strip("\n")))) + end
+def _wrapped_paragraph(paragraph: str) -> str:
+    """Wrap a paragraph or a list; tables, headings, images and HTML stay as they are."""
+    content = paragraph.strip("\n")
+    if not content.strip() or paragraph.lstrip().startswith(("|", "#", "!", "<")):
+        return paragraph
+    items = re.split(r"\n(?=- )", content)
+    start = "\n" if paragraph.startswith("\n") else ""
+    end = "\n" if paragraph.endswith("\n") else ""
+    return start + "\n".join(map(_filled, items)) + end
 
 
 def _filled(item: str) -> str:
@@ -325,11 +323,31 @@ def _filled(item: str) -> str:
 
 def _range(cell: CellSummary, metric: str) -> str:
     """Return a mean rate with its lowest and highest seed, for a table."""
+    low, high = _ends(cell, metric)
+    return f"{formats.percent(cell.metric(metric).value)} ({low}, {high})"
+
+
+def _ends(cell: CellSummary, metric: str) -> tuple[str, str]:
+    """Return the rates of the lowest and the highest seed of a cell, in percent."""
     rates = [seed.metric(metric) or 0.0 for seed in cell.seeds]
-    mean, low, high = (
-        formats.percent(rate) for rate in (cell.metric(metric).value, min(rates), max(rates))
-    )
-    return f"{mean} ({low}, {high})"
+    return formats.percent(min(rates)), formats.percent(max(rates))
+
+
+def _last_part(key: str) -> str:
+    """Return the name that a config key has in the head of a table."""
+    return key.removesuffix(".name").rpartition(".")[2]
+
+
+def _table(left: list[str], right: list[str], rows: list[list[str]]) -> str:
+    """Return a Markdown table whose first columns are aligned to the left, the others right.
+
+    Args:
+        left: headings of the first columns.
+        right: headings of the others.
+        rows: the cells of each row.
+    """
+    alignment = [":---"] * len(left) + ["---:"] * len(right)
+    return "\n".join(map(_row, [left + right, alignment, *rows]))
 
 
 def _row(cells: list[str]) -> str:
@@ -341,11 +359,10 @@ def _draw(name: str, report: ReportData) -> None:
     from parking_exp.reports.sections import draw, sections_of
 
     wanted = FIGURES.get(name, "final_success")
-    sections = [
-        section
-        for section in sections_of(report)
-        if wanted in {figure.name for figure in section.figures}
-    ]
+    sections = []
+    for section in sections_of(report):
+        if any(figure.name == wanted for figure in section.figures):
+            sections.append(section)
     with TemporaryDirectory() as folder:
         draw(report, Path(folder), ["png"], sections)
         shutil.copy(Path(folder) / f"{wanted}.png", DOCS / "images" / f"results_{name}.png")
