@@ -26,7 +26,7 @@ from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import check_output, console, say
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import delete_stored, sync_missing
-from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
+from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, read_search
 from parking_exp.tuning.trials import OBJECTIVE, count_states, progress_lines, progress_table
 
 WATCH_S = 2.0
@@ -164,7 +164,7 @@ def _read_searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingEr
     searches: dict[str, StoredSearch | ParkingError] = {}
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
-            search = study_in(file.parent)
+            search = read_search(file.parent)
             if search is not None:
                 searches[file.parent.name] = search
         except ParkingError as error:

@@ -22,7 +22,7 @@ from parking_exp.reports.tables.table import (
     text_column,
 )
 from parking_exp.statistics import Interval, SeedRates, compare, mean_interval
-from parking_exp.tuning.search import StoredSearch, study_in
+from parking_exp.tuning.search import StoredSearch, read_search
 from parking_exp.tuning.trials import RetestedTrial, describe_states, rank_trials
 
 
@@ -31,7 +31,7 @@ def add_search(report: ReportData, output_dir: Path) -> ReportData:
     names = [name for name in report.experiments if re.fullmatch(NAME, name)]
     for folder in [output_dir / name for name in names]:
         try:
-            tuning = study_in(folder)
+            tuning = read_search(folder)
             if tuning is not None:
                 return add_tuning(report, tuning)
         except ParkingError as error:

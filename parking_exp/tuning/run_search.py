@@ -27,7 +27,7 @@ from parking_exp.sweeps.store_thread import syncing
 from parking_exp.sweeps.sweep import PlannedRun, sweep
 from parking_exp.terminal import console, program
 from parking_exp.tracking.store_writer import StoreWriter
-from parking_exp.tuning.search import Search, study_in
+from parking_exp.tuning.search import Search, read_search
 from parking_exp.tuning.trial_worker import success_auc, work
 from parking_exp.tuning.trials import (
     OBJECTIVE,
@@ -58,7 +58,7 @@ def tune(search: Search, launcher: Launcher) -> None:
     out = console()
     request = search.request
     n_workers = request.n_workers or launcher.n_jobs
-    stored = study_in(search.folder)
+    stored = read_search(search.folder)
     trials = stored.trials[: request.n_trials] if stored else []
     _describe(search, trials, n_workers, out)
     if request.dry_run:

@@ -168,7 +168,7 @@ class StoredSearch:
     retested: Sequence[RetestedTrial] = ()
 
 
-def study_in(folder: Path) -> StoredSearch | None:
+def read_search(folder: Path) -> StoredSearch | None:
     """Return the search of an experiment's folder; None without one.
 
     Raises:

@@ -26,7 +26,7 @@ from parking_exp.reports.search_report import (
 from parking_exp.reports.sections import SECTIONS, draw, section_contents
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import SeedRates, compare, mean_interval
-from parking_exp.tuning.search import StoredSearch, study_in
+from parking_exp.tuning.search import StoredSearch, read_search
 from parking_exp.tuning.study import storage_of
 
 SPACE = {
@@ -84,7 +84,7 @@ def tuning(folder, trials):
     """What a report has of a search with these trials."""
     add(folder, *trials)
     write_search(folder, n_trials=len(trials))
-    return study_in(folder)
+    return read_search(folder)
 
 
 def many(folder):

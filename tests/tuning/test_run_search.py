@@ -20,7 +20,7 @@ from parking_exp.config.validate import validate
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.run_search import choose_trials, write_winner
-from parking_exp.tuning.search import study_in
+from parking_exp.tuning.search import read_search
 from parking_exp.tuning.trials import RetestedTrial, TrialRow
 
 TWO = "n_workers=2"
@@ -34,7 +34,7 @@ def tune(output_dir, *arguments, **keywords):
 
 
 def trials(output_dir):
-    return study_in(output_dir / "smoke").trials
+    return read_search(output_dir / "smoke").trials
 
 
 def states(output_dir):

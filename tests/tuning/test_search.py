@@ -10,7 +10,7 @@ from support.runs import make_config, options
 from support.searches import user_search
 
 from parking_exp.errors import ConfigError, StoreError
-from parking_exp.tuning.search import Search, _compose_groups, study_in
+from parking_exp.tuning.search import Search, _compose_groups, read_search
 
 SMOKE = ("search=smoke",)
 
@@ -50,7 +50,7 @@ def test_trial_0_has_the_values_of_the_unchanged_config(tmp_path):
     search = Search([*SMOKE, f"output_dir={tmp_path}", "n_trials=3"])
     search.open()
     search.save()
-    stored = study_in(search.folder)
+    stored = read_search(search.folder)
     assert stored.n_trials == 3
     (trial,) = stored.trials
     assert (trial.state, trial.changes) == ("pending", {})
@@ -82,7 +82,7 @@ def test_a_stored_trial_with_a_choice_that_its_search_lacks_is_refused(tmp_path)
         create_trial(value=0.5, params={key: foreign.choices[0]}, distributions={key: foreign})
     )
     with pytest.raises(StoreError, match=r"^the study mine can't be used: "):
-        study_in(search.folder)
+        read_search(search.folder)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from support.searches import QUICK
 from parking_exp.errors import OutputDirectoryError, ResultsError
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_state import read_state
-from parking_exp.tuning.search import Search, study_in
+from parking_exp.tuning.search import Search, read_search
 from parking_exp.tuning.trial_worker import success_auc, work
 
 
@@ -46,7 +46,7 @@ def succeed(path, rate=0.5):
 
 
 def trials(search):
-    return study_in(search.folder).trials
+    return read_search(search.folder).trials
 
 
 def test_a_killed_run_is_tried_three_times_and_a_full_disk_leaves_the_trial_open(search):
