@@ -7,7 +7,7 @@ and UNSEEN for the unseen one: Rubin's Bayesian bootstrap (1981) with fewer seed
 place of Student's quantile.
 
 For the lower end, the unseen seed is REACH times as far below the worst seed as that is below
-100 %. It is no farther than REACH times the range of the seeds, or NEAR where they hardly differ.
+100 %. It is no farther than SPREAD times the range of the seeds, or NEAR where they hardly differ.
 The upper end is the same seen from 0 % (Walley 1996: an interval of priors). Every end is at least
 as far out as that of Clopper and Pearson's (1934) interval of all episodes together: seeds that
 agree are still measured in so many episodes only.
@@ -24,9 +24,11 @@ from numpy.typing import ArrayLike
 
 from parking_exp.statistics.intervals import Interval
 
-UNSEEN = 0.05  # weight of the unseen seed,
-REACH = 3.0  # its distance, and
-NEAR = 0.1  # how far it may be where seeds agree; all three were chosen by simulation
+# Weight of the unseen seed, and limits of its distance; all were chosen by simulation.
+UNSEEN = 0.05
+REACH = 3.0
+SPREAD = 4.0
+NEAR = 0.1
 ROUNDING = 1e-9  # how far a rate may lie outside 0 ... 1
 
 
@@ -73,7 +75,7 @@ def _lower_end(seeds: tuple[float, ...], n_episodes: int | None, alpha: float) -
     half_an_episode = 0.5 / n_episodes if n_episodes else 0.0
     worst = max(seeds[0] - half_an_episode, 0.0)
     best = min(seeds[-1] + half_an_episode, 1.0)
-    farthest = max(REACH * (best - worst), NEAR)
+    farthest = max(SPREAD * (best - worst), NEAR)
     unseen = max(worst - min(REACH * (1 - worst), farthest), 0.0)
 
     n = len(seeds)

@@ -40,11 +40,15 @@ def _assign(a: np.ndarray, b: np.ndarray, n_steps: int) -> tuple[int, np.ndarray
     Differences are in 1 / n_steps. The shares are those of -d, ..., 0, ..., d.
     """
     in_steps = np.rint(np.concatenate([a, b]) * RATE_STEPS).astype(int)
-    seeds = in_steps - in_steps.min()
+    above_lowest = in_steps - in_steps.min()
+    # 500 episodes need every other step only. Hundreds of seeds are rounded further: the table of
+    # their sums has to fit into memory.
+    step = max(np.gcd.reduce(above_lowest), len(above_lowest) // 200, 1)
+    seeds = above_lowest // step
     total = seeds.sum()
     sums_of_a = np.arange(total + 1)
     of_means = sums_of_a / len(a) - (total - sums_of_a) / len(b)
-    differences = np.rint(of_means / RATE_STEPS * n_steps).astype(int)
+    differences = np.rint(of_means * step / RATE_STEPS * n_steps).astype(int)
 
     farthest = np.abs(differences).max()
     shares = np.bincount(
