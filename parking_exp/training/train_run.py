@@ -66,7 +66,9 @@ def train_run(
             f"{directory.path / TRACEBACK_FILE}"
         ) from error
     finally:
-        trackers.finish(directory.status)
+        status = directory.status
+        # A full disk may have kept a failure from being recorded.
+        trackers.finish("failed" if status == "running" else status)
         on_saved(directory)
 
 

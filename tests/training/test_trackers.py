@@ -1,5 +1,6 @@
 """Trackers of a user's own package, named in the config."""
 
+import errno
 import json
 
 import pytest
@@ -7,6 +8,7 @@ from support.runs import make_config, run_script
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, UntrustedError
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train
 from parking_exp.training import loop
 
@@ -63,13 +65,21 @@ def test_a_resumed_run_logs_what_comes_after_its_checkpoint(tmp_path, monkeypatc
     assert ends == [["start", 0], ["finish", "interrupted"], ["start", 0], ["finish", "done"]]
 
 
-def test_a_tracker_learns_that_its_run_has_failed(tmp_path, monkeypatch):
+@pytest.mark.parametrize("disk_is_full", [False, True])
+def test_a_tracker_learns_that_its_run_has_failed(tmp_path, monkeypatch, disk_is_full):
     run = config(tmp_path, WRITES)
+    update = RunDirectory.update
 
     def fail(self):
         raise RuntimeError("a loss of NaN")
 
+    def update_if_there_is_room(self, **entries):
+        if disk_is_full and entries.get("status") == "failed":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        update(self, **entries)
+
     monkeypatch.setattr(loop.TrainingLoop, "learn", fail)
+    monkeypatch.setattr(RunDirectory, "update", update_if_there_is_room)
     with pytest.raises(FailedRunError, match="a loss of NaN"):
         train(run)
 
