@@ -88,8 +88,8 @@ def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pa
     from scipy.stats import mannwhitneyu
 
     rates = [(seed_rates(a), seed_rates(b)) for a, b in couples]
-    differences = compare([([a], [b]) for a, b in rates], SIGNIFICANT)
-    n_tested = sum(difference.p is not None for difference in differences)
+    n_pairs = len(couples)
+    differences = compare([([a], [b]) for a, b in rates], SIGNIFICANT, n_pairs)
 
     pairs = []
     for number, (a, b) in enumerate(couples):
@@ -97,7 +97,7 @@ def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pa
         rank_p = None
         if difference.p is not None:
             a_rates, b_rates = rates[number]
-            rank_p = min(1.0, n_tested * mannwhitneyu(a_rates.rates, b_rates.rates).pvalue)
+            rank_p = min(1.0, n_pairs * mannwhitneyu(a_rates.rates, b_rates.rates).pvalue)
         pair = Pair(
             a=a.id,
             b=b.id,
@@ -124,7 +124,7 @@ def judge(difference: Difference) -> Verdict:
 
     The test has no power with few seeds; the interval is too narrow where seeds collapse.
     """
-    if difference.p_corrected is None or difference.value is None:
+    if difference.p_corrected is None or difference.low is None or difference.value is None:
         return "unknown"
     is_significant = difference.p_corrected < SIGNIFICANT
     if is_significant != difference.excludes_0:

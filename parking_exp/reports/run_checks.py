@@ -19,19 +19,23 @@ def leave_out_impossible_rates(results: Results) -> Results:
         names[run["run_id"]] = f"{run['cell']} seed={run['seed']}"
     runs, run_problems = _leave_out_impossible(results.runs, names)
     curves, curve_problems = _leave_out_impossible(results.curves, names)
-    problems = (*run_problems, *curve_problems, *results.problems)
+    problems = (*results.problems, *run_problems, *curve_problems)
     return replace(results, runs=runs, curves=curves, problems=problems)
 
 
 def _leave_out_impossible(
     frame: pd.DataFrame, names: Mapping[str, str]
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Return a frame with a column `run_id` without impossible rates, and a sentence for each."""
+    """Return a frame with a column `run_id` without impossible rates.
+
+    There is a sentence for each run and rate.
+    """
     kept = frame.copy()
     problems = []
-    for column in frame.filter(regex="_rate$"):
+    # Keys of the config, such as `learning_rate`, are no metrics.
+    for column in frame.filter(regex=r"^(?!config\.).*_rate$"):
         is_impossible = (frame[column] < 0) | (frame[column] > 1)
-        for run in frame[is_impossible].to_dict("records"):
+        for run in frame[is_impossible].drop_duplicates("run_id").to_dict("records"):
             name = names[run["run_id"]]
             problems.append(f"{name}: {column} {run[column]:g} is no rate, and is left out.")
         kept.loc[is_impossible, column] = np.nan
@@ -39,7 +43,7 @@ def _leave_out_impossible(
 
 
 def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> Iterator[str]:
-    """Yield where rates, outcomes and curves are not of the same runs and episodes."""
+    """Yield which runs lack outcomes or evaluations, and whose outcomes contradict their rate."""
     for cell in cells:
         contradicting = []
         without_outcomes = []
@@ -53,6 +57,7 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
                 contradicting.append(seed)
             if run["run_id"] not in evaluations.whole_curves:
                 without_curves.append(seed)
+        has_curves = cell.done["run_id"].isin(evaluations.curves).any()
 
         label = quoted_label(cell.label)
         if contradicting:
@@ -60,12 +65,13 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
                 f"{label}: stored success contradicts the outcomes of the episodes of "
                 f"{_list_seeds(contradicting)}."
             )
-        if 0 < len(without_outcomes) < len(cell.done):
+        # Some results have rates and nothing else, and some cells no evaluations on the way.
+        if without_outcomes and evaluations.final:
             yield (
                 f"{label}: outcomes are missing of {_list_seeds(without_outcomes)}. What is made "
-                "of outcomes is of other episodes than the rates."
+                "of outcomes leaves these episodes out."
             )
-        if 0 < len(without_curves) < len(cell.done):
+        if without_curves and has_curves:
             yield (
                 f"{label}: evaluations during training are missing of "
                 f"{_list_seeds(without_curves)}. AUC and times are of other seeds than the rates."

@@ -46,9 +46,9 @@ class MainEffect:
 
     @property
     def extremes(self) -> tuple[Level, Level]:
-        """The levels with the highest and the lowest mean, the first of equal ones."""
+        """The levels with the highest and the lowest mean: of equal ones, the first and last."""
         highest = max(self.levels, key=lambda level: level.mean)
-        lowest = min(self.levels, key=lambda level: level.mean)
+        lowest = min(reversed(self.levels), key=lambda level: level.mean)
         return highest, lowest
 
     @property

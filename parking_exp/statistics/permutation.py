@@ -1,14 +1,16 @@
 """The exact permutation test of the difference of two means."""
 
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-RATE_STEPS = 1_000  # rates are rounded to 0.1 points
-FINEST = 1_000_000  # steps of differences
+RATE_STEPS = 20_000  # rates are rounded to 0.005 points
+FINEST = 200_000  # steps of differences
+MAX_COUNTS = 20_000_000  # of sums: with more, rates are rounded further, to fit into memory
 
 
 def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
@@ -23,27 +25,41 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     """
     from scipy.signal import fftconvolve
 
-    sizes = [np.size(rates) for pair in strata for rates in pair]
-    n_steps = min(RATE_STEPS * math.lcm(*sizes), FINEST)
-    assigned = [_assign(np.asarray(a), np.asarray(b), n_steps) for a, b in strata]
+    in_steps = []
+    for a, b in strata:
+        in_steps.append((_round(a), _round(b)))
+    sizes = [len(rates) for pair in in_steps for rates in pair]
+    largest_step = np.gcd.reduce([RATE_STEPS, *np.concatenate([*itertools.chain(*in_steps)])])
+    # All differences are multiples of such a step, unless cells have many different sizes.
+    n_steps = min(RATE_STEPS // int(largest_step) * math.lcm(*sizes), FINEST)
+    assigned = [_assign(a, b, n_steps) for a, b in in_steps]
     observed = sum(difference for difference, _ in assigned)
     shares = functools.reduce(fftconvolve, [shares for _, shares in assigned])
 
     differences = np.arange(len(shares)) - len(shares) // 2
     as_far = np.abs(differences) >= abs(observed)
-    return min(1.0, math.fsum(shares[as_far]))
+    p = math.fsum(shares[as_far])
+    return min(1.0, max(0.0, p))  # the convolution is not exact to the last digit
+
+
+def _round(rates: ArrayLike) -> np.ndarray:
+    return np.rint(np.asarray(rates) * RATE_STEPS).astype(int)
 
 
 def _assign(a: np.ndarray, b: np.ndarray, n_steps: int) -> tuple[int, np.ndarray]:
     """Return the observed difference, and the share of the assignments that have each difference.
 
-    Differences are in 1 / n_steps. The shares are those of -d, ..., 0, ..., d.
+    `a` and `b` are in 1 / RATE_STEPS, differences in 1 / n_steps. The shares are those of the
+    differences -d, ..., 0, ..., d.
     """
-    in_steps = np.rint(np.concatenate([a, b]) * RATE_STEPS).astype(int)
-    above_lowest = in_steps - in_steps.min()
-    # 500 episodes need every other step only. Hundreds of seeds are rounded further: the table of
-    # their sums has to fit into memory.
-    step = max(np.gcd.reduce(above_lowest), len(above_lowest) // 200, 1)
+    if len(a) > len(b):  # fewer sums are counted for the smaller cell
+        observed, shares = _assign(b, a, n_steps)
+        return -observed, shares[::-1]
+
+    both = np.concatenate([a, b])
+    above_lowest = both - both.min()
+    step = np.gcd.reduce(above_lowest)  # e.g. 40 for rates of 500 episodes
+    step = max(step, math.ceil(above_lowest.sum() * len(a) / MAX_COUNTS), 1)
     seeds = above_lowest // step
     total = seeds.sum()
     sums_of_a = np.arange(total + 1)

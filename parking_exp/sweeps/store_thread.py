@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from parking_exp.errors import ParkingError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.store_writer import Moment, StoreWriter, moment_of
 
@@ -43,7 +44,11 @@ def _watch(
 ) -> None:
     """Sync the runs that have a new checkpoint or have ended, until it is over."""
     while not is_over.wait(POLL_S):
-        for path in find():
+        try:
+            paths = find()
+        except (OSError, ParkingError):  # e.g. a folder that is being deleted: look again
+            continue
+        for path in paths:
             if is_over.is_set():
                 return
             directory = RunDirectory(path)

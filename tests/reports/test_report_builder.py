@@ -293,6 +293,11 @@ def matched(report):
     return {(report.cell(pair.a).label, report.cell(pair.b).label) for pair in report.pairs}
 
 
+def test_factors_of_cells_with_one_seed_have_too_few():
+    buffer, *_ = build_report(factorial(1), ["one"]).claims
+    assert buffer.startswith("buffer: too few seeds; her_future (91.7 %)")
+
+
 def test_a_contrast_compares_matched_cells():
     report = build_report(factorial(4), ["one"], contrast="buffer:her_future-replay")
     others = product(("sac", "td3", "ddpg"), (0.9, 0.95))

@@ -35,8 +35,8 @@ def test_outcomes_that_are_missing_of_some_runs_are_named():
     frames = of_seeds(Run(), Run(), Run(), Run())
     is_kept = ~frames.episodes["run_id"].isin(["one-sac-1", "one-sac-3"])
     expected = (
-        f"{LABEL}: outcomes are missing of seeds 1, 3. What is made of outcomes is of other episodes "
-        "than the rates."
+        f"{LABEL}: outcomes are missing of seeds 1, 3. What is made of outcomes leaves these "
+        "episodes out."
     )
     assert warnings_of(replace(frames, episodes=frames.episodes[is_kept])) == [expected]
     # two of the five episodes of a run
@@ -46,6 +46,9 @@ def test_outcomes_that_are_missing_of_some_runs_are_named():
     assert of_one in warnings_of(replace(frames, episodes=halved))
     none = frames.episodes[:0]
     assert warnings_of(replace(frames, episodes=none)) == []  # rates and nothing else
+    of_each = frames.episodes.groupby("run_id").head(3)
+    of_all = expected.replace("seeds 1, 3", "seeds 0, 1, 2, 3")
+    assert of_all in warnings_of(replace(frames, episodes=of_each))
 
 
 @pytest.mark.parametrize("curve", [(), (0.2, np.nan, 0.6, 0.8)])
@@ -69,6 +72,12 @@ def test_a_rate_outside_0_to_1_is_left_out_with_a_sentence():
     assert "parking-sac seed=0: success_rate 1.7 is no rate, and is left out." in report.warnings
     assert "parking-sac seed=2: success_rate -0.5 is no rate, and is left out." in report.warnings
     assert report.cells[0].curve.low == [0.2, 0.4, 0.6, 0.8]
+
+
+def test_keys_of_the_config_are_no_rates():
+    frames = of_seeds(Run(), Run())
+    runs = frames.runs.assign(**{"config.env.kwargs.frame_rate": 15.0})
+    assert warnings_of(replace(frames, runs=runs)) == []
 
 
 def test_cells_that_never_succeed_have_no_highest():

@@ -168,6 +168,11 @@ def test_p_is_the_share_of_all_assignments_and_swapping_the_cells_does_not_chang
     assert permutation_p([(b, a) for a, b in strata]) == pytest.approx(p, abs=1e-12)
 
 
+def test_rates_of_ten_thousand_episodes_are_told_apart():
+    # All ten of one cell are above all ten of the other.
+    assert permutation_p([([0.9999] * 10, [0.9996] * 10)]) == pytest.approx(2 / 184_756)
+
+
 def test_p_has_the_floor_of_the_number_of_assignments():
     assert permutation_p([([1.0] * 2, [0.0] * 2)]) == pytest.approx(2 / 6)
     assert permutation_p([([1.0] * 5, [0.0] * 5)]) == pytest.approx(2 / 252)
@@ -300,6 +305,12 @@ def test_the_largest_of_three_differences_is_corrected_for_all_of_them():
     level = effect.levels[0].effect
     assert (level.value, level.n) == (alone.value, 10)
     assert (level.low, level.high) == pytest.approx((alone.low, alone.high))
+
+
+def test_levels_with_equal_means_are_compared_with_each_other():
+    (effect,) = effects_of(["strategy"], {("a",): [0.0] * 4, ("b",): [0.0] * 4}, n_episodes=100)
+    assert [level.level for level in effect.extremes] == ["a", "b"]
+    assert (effect.largest.value, effect.p) == (0.0, 1.0)
 
 
 def test_effects_flag_missing_combinations_and_have_no_interval_with_a_single_seed():
