@@ -10,6 +10,7 @@ from parking_exp.errors import quoted_label
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.cell_summaries import RunEvaluations
 from parking_exp.results.frames import Results
+from parking_exp.statistics import finite_or_none
 
 
 def leave_out_impossible_rates(results: Results) -> Results:
@@ -51,7 +52,8 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
         for run in cell.done.to_dict("records"):
             seed = run["seed"]
             episodes = evaluations.final.get(run["run_id"])
-            if episodes is None or len(episodes) < run["n_scenes"]:
+            n_expected = finite_or_none(run["n_scenes"]) or 0  # early exports do not have it
+            if episodes is None or len(episodes) < n_expected:
                 without_outcomes.append(seed)
             elif _contradicts(run["success_rate"], episodes["outcome"]):
                 contradicting.append(seed)
@@ -69,7 +71,7 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
         if without_outcomes and evaluations.final:
             yield (
                 f"{label}: outcomes are missing of {_list_seeds(without_outcomes)}. What is made "
-                "of outcomes leaves these episodes out."
+                "of outcomes leaves them out."
             )
         if without_curves and has_curves:
             yield (

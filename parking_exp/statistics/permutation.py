@@ -34,7 +34,8 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     n_steps = min(RATE_STEPS // int(largest_step) * math.lcm(*sizes), FINEST)
     assigned = [_assign(a, b, n_steps) for a, b in in_steps]
     observed = sum(difference for difference, _ in assigned)
-    shares = functools.reduce(fftconvolve, [shares for _, shares in assigned])
+    of_strata = [shares_of_one for _, shares_of_one in assigned]
+    shares = functools.reduce(fftconvolve, of_strata)
 
     differences = np.arange(len(shares)) - len(shares) // 2
     as_far = np.abs(differences) >= abs(observed)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.result_frames import Run, results
 
@@ -31,12 +32,17 @@ def test_a_stored_rate_that_contradicts_the_outcomes_is_named():
     ]
 
 
+def test_a_number_of_episodes_that_is_not_known_is_no_problem():
+    frames = of_seeds(Run(), Run(success=0.6))
+    unknown = frames.runs.assign(n_scenes=pd.array([pd.NA, pd.NA], dtype="Int64"))
+    assert warnings_of(replace(frames, runs=unknown)) == []
+
+
 def test_outcomes_that_are_missing_of_some_runs_are_named():
     frames = of_seeds(Run(), Run(), Run(), Run())
     is_kept = ~frames.episodes["run_id"].isin(["one-sac-1", "one-sac-3"])
     expected = (
-        f"{LABEL}: outcomes are missing of seeds 1, 3. What is made of outcomes leaves these "
-        "episodes out."
+        f"{LABEL}: outcomes are missing of seeds 1, 3. What is made of outcomes leaves them out."
     )
     assert warnings_of(replace(frames, episodes=frames.episodes[is_kept])) == [expected]
     # two of the five episodes of a run
