@@ -22,8 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.evaluation.agents import find_agents
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
-from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Policy
@@ -119,7 +119,7 @@ def _perturbed(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:
 def evaluate(policy: Policy, config: ParkingConfig, perturbation: Perturbation) -> dict[str, float]:
     """Return the rates of success, crash and parked over scenes 0 to 499."""
     rng = np.random.default_rng(0)
-    scenes = Scenes.from_seeds(range(N_SCENES), config.vehicles_range, config.obstacles)
+    scenes = lot_of(config).from_seeds(range(N_SCENES))
     simulator = Simulator(config, scenes)
     shift = perturbation.shift_m * np.array([[1.0], [0.5]])
     simulator.state.position[:] += rng.uniform(-shift, shift, (2, N_SCENES))

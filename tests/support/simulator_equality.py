@@ -6,6 +6,7 @@ import numpy as np
 
 from parking_exp.tasks.parking.geometry import SLOT_HEADINGS, SLOT_POSITIONS
 from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
 from support.runs import make_config
@@ -48,8 +49,7 @@ def record(config, scenes, act):
     """Run whole episodes in the simulator; return first observations, and (action, observation,
     reward, flags) of steps.
     """
-    starting = Scenes.from_seeds(scenes, config.vehicles_range, config.obstacles)
-    simulator = Simulator(config, starting)
+    simulator = Simulator(config, lot_of(config).from_seeds(scenes))
     records = [[] for _ in scenes]
     rows = np.arange(len(scenes))
     observation = simulator.observe()

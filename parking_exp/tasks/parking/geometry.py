@@ -12,29 +12,24 @@ SLOTS_PER_ROW = 14
 _ROW_X = np.array(
     [(k + 1 - SLOTS_PER_ROW // 2) * SLOT_WIDTH_M - SLOT_WIDTH_M / 2 for k in range(SLOTS_PER_ROW)]
 )
-_ROW_Y = 14.0
+ROW_Y_M = 14.0
 
 # In highway-env's order: the row above from left to right, then the row below.
 SLOT_POSITIONS = np.stack(
-    [np.concatenate([_ROW_X, _ROW_X]), np.repeat([_ROW_Y, -_ROW_Y], SLOTS_PER_ROW)], axis=-1
+    [np.concatenate([_ROW_X, _ROW_X]), np.repeat([ROW_Y_M, -ROW_Y_M], SLOTS_PER_ROW)], axis=-1
 )  # (28, 2) centres [m]
 # (28,) [rad].
 SLOT_HEADINGS = np.repeat(np.arctan2([SLOT_LENGTH_M, -SLOT_LENGTH_M], [0.0, 0.0]), SLOTS_PER_ROW)
 N_SLOTS = len(SLOT_HEADINGS)
+SLOT_POSES = np.concatenate([SLOT_POSITIONS, SLOT_HEADINGS[:, None]], axis=1)  # (28, 3)
 
-# In highway-env's order: below, above, left, right. Each is a rectangle: centre, heading, length;
-# one metre thick.
-WALL_POSITIONS = np.array(
-    [
-        [0.0, -LOT_WIDTH_M / 2],
-        [0.0, LOT_WIDTH_M / 2],
-        [-LOT_LENGTH_M / 2, 0.0],
-        [LOT_LENGTH_M / 2, 0.0],
-    ]
-)
+# The walls are the sides of a box around the origin, in highway-env's order: below, above, left,
+# right. Each is a rectangle, one metre thick: its centre in halves of the box, its heading, and the
+# side of the box, length or width, that it is as long as.
+WALL_SIDES = np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
 WALL_HEADINGS = np.array([0.0, 0.0, np.pi / 2, np.pi / 2])
-WALL_LENGTHS = np.array([LOT_LENGTH_M, LOT_LENGTH_M, LOT_WIDTH_M, LOT_WIDTH_M])
-WALL_DIAGONALS = np.sqrt(WALL_LENGTHS**2 + WALL_THICKNESS_M**2)
+WALL_ALONG = np.array([0, 0, 1, 1])
+N_WALLS = len(WALL_ALONG)
 
 OBSTACLE_M = 2.0  # of highway-env's obstacles, which are squares
 OBSTACLE_DIAGONAL_M = float(np.sqrt(2 * OBSTACLE_M**2))

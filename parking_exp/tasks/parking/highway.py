@@ -6,13 +6,15 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.wrappers import OrderEnforcing
 
 from parking_exp.tasks.env_batch import EnvBatch
+from parking_exp.tasks.parking.geometry import SLOT_LENGTH_M, SLOT_WIDTH_M
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, RandomVehiclesCount
 from parking_exp.tasks.parking.obstacles import RandomObstacles
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.pose import Pose, relative_pose
-from parking_exp.tasks.parking.reward import ParkingReward
+from parking_exp.tasks.parking.reward import reward_of
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
@@ -45,6 +47,17 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
 def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.Env:
     """Make one parking env; `render_mode` is None or `rgb_array`."""
+    env = _make_lot(config, render_mode)
+    count = config.observation.vehicles_count
+    return NearbyVehicles(env, count) if count else env
+
+
+def _make_lot(config: ParkingConfig, render_mode: str | None) -> gym.Env:
+    """Make an env that shows the pose of the car only."""
+    if config.lot is not None:
+        from parking_exp.tasks.parking.lot_env import LotEnv
+
+        return OrderEnforcing(LotEnv(config, render_mode))
     import highway_env  # imports pyplot and pygame, which the simulator does not need
 
     gym.register_envs(highway_env)
@@ -52,15 +65,14 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
     env = gym.make(
         ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True
     )
-    env.unwrapped.goal_reward = ParkingReward.of(config)
+    env.unwrapped.goal_reward = reward_of(config)
     if config.reward == "sparse":
         env = SparseReward(env)
     if isinstance(config.vehicles_count, list):
         env = RandomVehiclesCount(env, *config.vehicles_range)
     if config.obstacles:
         env = RandomObstacles(env, config.obstacles)
-    count = config.observation.vehicles_count
-    return NearbyVehicles(env, count) if count else env
+    return env
 
 
 def skip_unused_work(env: gym.Env) -> None:
@@ -104,7 +116,8 @@ class HighwayBatch(EnvBatch):
 
     def ending(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""
-        car = self.envs[row].unwrapped.vehicle
-        return relative_pose(
-            car.position, car.heading, car.speed, car.goal.position, car.goal.heading
-        )
+        lot = self.envs[row].unwrapped
+        car = lot.vehicle
+        goal = car.goal.position, car.goal.heading
+        slot_size = getattr(lot, "slot_size", (SLOT_LENGTH_M, SLOT_WIDTH_M))
+        return relative_pose(car.position, car.heading, car.speed, *goal, slot_size)

@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, PositiveFloat
 
 from parking_exp.config_model import Bounds, ConfigModel, Duration, Pixels, Range
+from parking_exp.tasks.parking.lot_config import LotConfig
 from parking_exp.tasks.task_config import TaskConfig
 
 ENV_ID = "parking-v0"
@@ -20,8 +21,15 @@ OUR_KEYS = {
     "training_duration",
     "training_success_goal_reward",
     "obstacles",
+    "lot",
+    "level",
+    "levels",
 }
 MAX_VEHICLES = 26  # slots but for those of start and goal
+
+
+def _is_none(value: Any) -> bool:
+    return value is None
 
 
 def _check_vehicles_count(value: Any) -> Any:
@@ -78,6 +86,12 @@ class ParkingConfig(TaskConfig):
     training_duration: Duration | None
     training_success_goal_reward: PositiveFloat | None
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
+    # None: highway-env's own lot. Left out of stored configs then.
+    lot: Annotated[LotConfig | None, Field(exclude_if=_is_none)] = None
+    # The level that the numbers of `lot` come from, and those of all levels, from which they are
+    # interpolated.
+    level: Annotated[str | None, Field(exclude_if=_is_none)] = None
+    levels: Annotated[dict[str, dict[str, Any]] | None, Field(exclude=True)] = None
 
     observation: ObservationConfig
     action: ActionConfig
@@ -155,6 +169,10 @@ class ParkingConfig(TaskConfig):
             )
         if self.policy_frequency > self.simulation_frequency:
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
+        if self.lot is not None:
+            yield from self.lot.problems(self.vehicles_range)
+            if self.obstacles:
+                yield f"env.obstacles={self.obstacles}: highway-env's own lot only has obstacles"
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield nothing: all features and all arguments of the buffer are supported."""

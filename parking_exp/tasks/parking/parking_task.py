@@ -10,9 +10,9 @@ import numpy as np
 
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS
-from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
@@ -58,8 +58,7 @@ class ParkingTask(Task):
             batch = HighwayBatch(self.config, seeds)
             self._envs = batch.envs
             return batch
-        scenes = Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles)
-        return Simulator(self.config, scenes)
+        return Simulator(self.config, lot_of(self.config).from_seeds(seeds))
 
     def close(self) -> None:
         """Close the envs of evaluations on highway-env, and that of predictions."""

@@ -1,6 +1,7 @@
 """Final pose of the car, and the definition of parked."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,8 @@ class Pose:
     side_m: float
     heading_error_rad: float  # in [-pi, pi)
     speed_mps: float  # signed
+    slot_length_m: float = SLOT_LENGTH_M
+    slot_width_m: float = SLOT_WIDTH_M
 
     @property
     def distance_m(self) -> float:
@@ -32,21 +35,49 @@ class Pose:
 
     @property
     def parked(self) -> bool:
-        """Whether all four corners are inside the slot's lines, heading within 10 degrees, speed
-        below 0.5 m/s.
+        """Whether the car is parked in its slot; see `is_parked`.
 
-        Stricter than highway-env's success, which allows 1.44 m, 33 degrees or any speed.
+        Stricter than highway-env's success on parking-v0, which allows 1.44 m, 33 degrees or any
+        speed.
         """
-        cos = abs(math.cos(self.heading_error_rad))
-        sin = abs(math.sin(self.heading_error_rad))
-        half_length = (CAR_LENGTH_M * cos + CAR_WIDTH_M * sin) / 2
-        half_width = (CAR_LENGTH_M * sin + CAR_WIDTH_M * cos) / 2
-        return (
-            abs(self.ahead_m) + half_length <= SLOT_LENGTH_M / 2
-            and abs(self.side_m) + half_width <= SLOT_WIDTH_M / 2
-            and abs(self.heading_error_rad) <= PARKED_HEADING_RAD
-            and abs(self.speed_mps) < PARKED_SPEED_MPS
+        return bool(
+            is_parked(
+                self.ahead_m,
+                self.side_m,
+                self.heading_error_rad,
+                self.speed_mps,
+                self.slot_length_m,
+                self.slot_width_m,
+            )
         )
+
+
+Numbers = np.ndarray | float
+
+
+def is_parked(
+    ahead_m: Numbers,
+    side_m: Numbers,
+    heading_error_rad: Numbers,
+    speed_mps: Numbers,
+    slot_length_m: Numbers,
+    slot_width_m: Numbers,
+) -> Numbers:
+    """Return whether all four corners are inside the slot's lines, heading within 10 degrees, speed
+    below 0.5 m/s.
+
+    Position and heading are relative to the slot; numbers, or arrays of one shape.
+    """
+    cos = np.abs(np.cos(heading_error_rad))
+    sin = np.abs(np.sin(heading_error_rad))
+    half_length = (CAR_LENGTH_M * cos + CAR_WIDTH_M * sin) / 2
+    half_width = (CAR_LENGTH_M * sin + CAR_WIDTH_M * cos) / 2
+    inside = np.abs(ahead_m) + half_length <= slot_length_m / 2
+    inside &= np.abs(side_m) + half_width <= slot_width_m / 2
+    straight = np.abs(heading_error_rad) <= PARKED_HEADING_RAD
+    stationary = np.abs(speed_mps) < PARKED_SPEED_MPS
+    parked: Numbers = inside & straight & stationary
+    return parked
 
 
 def relative_pose(
@@ -55,8 +86,13 @@ def relative_pose(
     speed: float,
     goal_position: np.ndarray,
     goal_heading: float,
+    slot_size: Sequence[float] | np.ndarray = (SLOT_LENGTH_M, SLOT_WIDTH_M),
 ) -> Pose:
-    """Return the pose of a car relative to its goal slot; positions are (x, y), shape (2,)."""
+    """Return the pose of a car relative to its goal slot.
+
+    Positions are (x, y), the slot's size is its length and width,
+    by default that of highway-env's slots; each has the shape (2,).
+    """
     dx, dy = position - goal_position
     cos = math.cos(goal_heading)
     sin = math.sin(goal_heading)
@@ -66,4 +102,6 @@ def relative_pose(
         side_m=float(dy * cos - dx * sin),
         heading_error_rad=float(error),
         speed_mps=float(speed),
+        slot_length_m=float(slot_size[0]),
+        slot_width_m=float(slot_size[1]),
     )

@@ -1,11 +1,18 @@
-"""Goal reward of highway-env without the collision term, for many goals at once."""
+"""Goal rewards without the collision term, for many goals at once: highway-env's, and that of other
+lots.
+"""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
-from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, ParkingConfig
+from parking_exp.tasks.parking.parking_config import (
+    DEFAULT_FEATURES,
+    DEFAULT_SCALES,
+    ParkingConfig,
+)
+from parking_exp.tasks.parking.pose import is_parked
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +28,7 @@ class ParkingReward:
     sparse: bool
 
     failure_key = "crashed"
-    info_keys = ()
+    info_keys: ClassVar[tuple[str, ...]] = ()
     terminates = True
     # Which features of a goal are a velocity.
     velocity = tuple(DEFAULT_FEATURES.index(name) for name in ("vx", "vy"))
@@ -48,3 +55,59 @@ class ParkingReward:
         if self.sparse:
             return np.where(reached, 0.0, -1.0), reached
         return dense, reached
+
+
+class LotReward(ParkingReward):
+    """The reward of lots other than highway-env's: in the frame of the slot, and success is
+    `parked`.
+
+    The weights are of the distances along and across the slot, of the velocities along and across
+    it, and of 1 minus the cosine and the sine of the heading relative to the slot. So slots of all
+    angles mean the same.
+    """
+
+    info_keys = ("slot_length_m", "slot_width_m")
+
+    def __call__(
+        self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return reward and whether the car is parked, both of shape (...).
+
+        Args:
+            achieved, desired: goals, shape (..., 6).
+            info: length and width of the slots, shape (..., 2) [m].
+        """
+        assert info is not None, "the size of the slot decides whether a car is parked"
+        cos = desired[..., 4]
+        sin = desired[..., 5]
+        x, y, vx, vy = np.moveaxis(achieved[..., :4] - desired[..., :4], -1, 0)
+        cos_error = achieved[..., 4] * cos + achieved[..., 5] * sin
+        sin_error = achieved[..., 5] * cos - achieved[..., 4] * sin
+        distances = [
+            cos * x + sin * y,
+            cos * y - sin * x,
+            cos * vx + sin * vy,
+            cos * vy - sin * vx,
+            1.0 - cos_error,
+            sin_error,
+        ]
+        ahead, side, _, _, _, _ = distances
+        parked = is_parked(
+            ahead * DEFAULT_SCALES[0],
+            side * DEFAULT_SCALES[1],
+            np.arctan2(sin_error, cos_error),
+            np.sqrt(vx * vx + vy * vy) * DEFAULT_SCALES[2],
+            info[..., 0],
+            info[..., 1],
+        )
+        if self.sparse:
+            return np.where(parked, 0.0, -1.0), np.asarray(parked)
+        weighted = np.stack(distances, axis=-1)
+        return -np.sqrt(np.vecdot(np.abs(weighted), self.weights)), np.asarray(parked)
+
+
+def reward_of(config: ParkingConfig) -> ParkingReward:
+    """Return the reward of an `env` group."""
+    if config.lot is None:
+        return ParkingReward.of(config)
+    return LotReward.of(config)

@@ -1,5 +1,5 @@
-"""Scenes: the initial states of parking-v0: the car's heading at the origin, its goal slot, slots
-of parked cars.
+"""Scenes: the initial states of episodes, and those of parking-v0 itself: the car's heading at the
+origin, its goal slot, slots of parked cars.
 """
 
 from collections.abc import Sequence
@@ -8,7 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_PER_ROW
+from parking_exp.tasks.parking.geometry import (
+    LOT_LENGTH_M,
+    LOT_WIDTH_M,
+    N_SLOTS,
+    SLOT_HEADINGS,
+    SLOT_LENGTH_M,
+    SLOT_POSES,
+    SLOT_POSITIONS,
+    SLOT_WIDTH_M,
+    SLOTS_PER_ROW,
+)
 
 NO_SLOT = -1  # of a car that is absent, where a scene has fewer than others
 # Half the length and width of the area: within the walls, outside of the slots.
@@ -27,16 +37,34 @@ _START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
 
 @dataclass(frozen=True)
 class Scenes:
-    """A batch of n scenes; slots are indices of `geometry.SLOT_POSITIONS`."""
+    """A batch of n scenes. A pose is x, y and heading [m, m, rad]; slots are numbered."""
 
-    heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
+    start: np.ndarray  # pose of the car, shape (n, 3)
     goal: np.ndarray  # goal slots, shape (n,)
-    # Slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
+    # Slots of the parked cars, in their order on the road, NO_SLOT for none, shape (n, vehicles)
     vehicles: np.ndarray
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
+    slots: np.ndarray  # poses of all slots, shape (n, slots, 3)
+    slot_size: np.ndarray  # their length and width, shape (n, 2) [m]
+    box: np.ndarray  # length and width between the centre lines of the walls, shape (n, 2) [m]
 
     def __len__(self) -> int:
-        return len(self.heading)
+        return len(self.goal)
+
+    @property
+    def heading(self) -> np.ndarray:
+        """The car's heading at the start, shape (n,) [rad]."""
+        return self.start[:, 2]
+
+    @property
+    def goal_pose(self) -> np.ndarray:
+        """Poses of the goal slots, shape (n, 3)."""
+        return self.slots[np.arange(len(self)), self.goal]
+
+    @property
+    def vehicle_pose(self) -> np.ndarray:
+        """Poses of the parked cars' slots, shape (n, vehicles, 3); of any slot for NO_SLOT."""
+        return np.take_along_axis(self.slots, self.vehicles[..., None] % self.slots.shape[1], 1)
 
     @staticmethod
     def from_seeds(
@@ -93,7 +121,18 @@ class Scenes:
             taken[:, column + 1] = slot
         vehicles = taken[:, 2:]
         vehicles[np.arange(vehicles.shape[1]) >= number[:, None]] = NO_SLOT
-        return Scenes(heading, taken[:, 1], vehicles, obstacles)
+        n = len(heading)
+        start = np.zeros((n, 3))
+        start[:, 2] = heading
+        return Scenes(
+            start=start,
+            goal=taken[:, 1],
+            vehicles=vehicles,
+            obstacles=obstacles,
+            slots=np.broadcast_to(SLOT_POSES, (n, *SLOT_POSES.shape)),
+            slot_size=np.tile([SLOT_LENGTH_M, SLOT_WIDTH_M], (n, 1)),
+            box=np.tile([LOT_LENGTH_M, LOT_WIDTH_M], (n, 1)),
+        )
 
 
 def start_slot(heading: np.ndarray) -> np.ndarray:

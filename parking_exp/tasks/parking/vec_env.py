@@ -2,8 +2,10 @@
 
 import numpy as np
 from gymnasium import spaces
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from parking_exp.tasks.batch_vec_env import BatchVecEnv
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import observation_size
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import Scenes
@@ -13,8 +15,10 @@ from parking_exp.tasks.parking.simulator import Simulator
 class ParkingVecEnv(BatchVecEnv):
     """VecEnv of n parking envs; the scenes of seeds are highway-env's."""
 
+    simulator: Simulator
+
     def __init__(self, config: ParkingConfig, n_envs: int) -> None:
-        self.config = config
+        self.lot = lot_of(config)
         simulator = Simulator(config, self.draw(np.random.default_rng(), n_envs))
         goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
         size = observation_size(config.observation.vehicles_count)
@@ -25,10 +29,19 @@ class ParkingVecEnv(BatchVecEnv):
         action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         super().__init__(simulator, simulator.reward, n_envs, observation_space, action_space)
 
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step all envs; infos have what the reward depends on."""
+        keys = self.goal_reward.info_keys
+        slot_size = self.simulator.state.slot_size.tolist() if keys else []
+        observations, rewards, dones, infos = super().step_wait()
+        for info, size in zip(infos, slot_size, strict=False):
+            info.update(zip(keys, size, strict=True))
+        return observations, rewards, dones, infos
+
     def from_seeds(self, seeds: list[int]) -> Scenes:
-        """Return highway-env's scenes of some seeds."""
-        return Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles)
+        """Return the scenes of some seeds."""
+        return self.lot.from_seeds(seeds)
 
     def draw(self, rng: np.random.Generator, number: int) -> Scenes:
         """Return random scenes, of the same distribution."""
-        return Scenes.random(rng, number, self.config.vehicles_range, self.config.obstacles)
+        return self.lot.random(rng, number)

@@ -16,12 +16,12 @@ from parking_exp.tasks.parking.geometry import (
     CAR_DIAGONAL_M,
     CAR_LENGTH_M,
     CAR_WIDTH_M,
+    N_WALLS,
     OBSTACLE_DIAGONAL_M,
     OBSTACLE_M,
-    WALL_DIAGONALS,
+    WALL_ALONG,
     WALL_HEADINGS,
-    WALL_LENGTHS,
-    WALL_POSITIONS,
+    WALL_SIDES,
     WALL_THICKNESS_M,
 )
 from parking_exp.tasks.parking.simulator.scene_state import SceneState
@@ -30,8 +30,9 @@ from parking_exp.tasks.parking.simulator.scene_state import SceneState
 ALONG = np.array([-0.5, -0.5, 0.5, 0.5])
 ACROSS = np.array([-0.5, 0.5, 0.5, -0.5])
 NEXT_CORNER = np.array([1, 2, 3, 0])
-WALL_SIDES = np.array([1, 3, 0, 2])  # of the directions left, below, right, above
-WALL_DISTANCES = np.linalg.norm(WALL_POSITIONS, axis=1) - WALL_THICKNESS_M / 2
+WALL_DIRECTIONS = np.stack([np.cos(WALL_HEADINGS), np.sin(WALL_HEADINGS)], axis=-1)
+OUTWARD = np.array([1, 3, 0, 2])  # of the directions left, below, right, above, those of walls
+WALL_ACROSS = 1 - WALL_ALONG
 
 Lengths = np.ndarray | float
 
@@ -124,12 +125,18 @@ def extent(direction: np.ndarray) -> np.ndarray:
     return reach
 
 
-WALL_CORNERS = corners(
-    WALL_POSITIONS,
-    np.stack([np.cos(WALL_HEADINGS), np.sin(WALL_HEADINGS)], axis=-1),
-    WALL_LENGTHS,
-    WALL_THICKNESS_M,
-)
+def walls_of(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centres of the four walls, shape (n, 4, 2), and their lengths, shape (n, 4) [m].
+
+    `free` is half the space between their inner faces, shape (2, n).
+    """
+    half = (free + WALL_THICKNESS_M / 2).T
+    return half[:, None] * WALL_SIDES, 2 * half[:, WALL_ALONG]
+
+
+def diagonals(length: np.ndarray) -> np.ndarray:
+    """Return the diagonals of walls, of the shape of their lengths [m]."""
+    return np.sqrt(length**2 + WALL_THICKNESS_M**2)
 
 
 class Collisions:
@@ -144,7 +151,7 @@ class Collisions:
         self.count = count
         self.n_obstacles = n_obstacles
         self.walls = walls
-        self._first_obstacle = count + len(WALL_LENGTHS)
+        self._first_obstacle = count + N_WALLS
         n_targets = self._first_obstacle + n_obstacles
         first, second = np.triu_indices(count, k=1, m=n_targets)
         if not walls:
@@ -153,9 +160,6 @@ class Collisions:
             second = second[~is_wall]
         # Of what parked cars can hit, shape (pairs, 2).
         self._pairs = np.stack([first, second], axis=1)
-        cars = np.full(count, CAR_DIAGONAL_M)
-        obstacles = np.full(n_obstacles, OBSTACLE_DIAGONAL_M)
-        self._diagonals = np.concatenate([cars, WALL_DIAGONALS, obstacles])
 
     def resolve(self, state: SceneState) -> None:
         """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the
@@ -217,19 +221,27 @@ class Collisions:
         other.
         """
         disturbed = np.flatnonzero(state.disturbed)
-        walls = np.tile(WALL_POSITIONS, (len(disturbed), 1, 1))
+        n = len(disturbed)
+        walls, lengths = walls_of(state.free[:, disturbed])
         parts = [state.vehicles[disturbed], walls, state.obstacles[disturbed]]
         positions = np.concatenate(parts, axis=1)
+        cars = np.full((n, self.count), CAR_DIAGONAL_M)
+        obstacles = np.full((n, self.n_obstacles), OBSTACLE_DIAGONAL_M)
+        diagonal = np.concatenate([cars, diagonals(lengths), obstacles], axis=1)
         first, second = self._pairs.T
         offset = positions[:, second] - positions[:, first]
-        apart = out_of_reach(offset, CAR_DIAGONAL_M, self._diagonals[second], 0.0)
+        apart = out_of_reach(offset, CAR_DIAGONAL_M, diagonal[:, second], 0.0)
         row, pair = np.nonzero(~apart)
         return disturbed[row], pair
 
     def _corners(self, state: SceneState, scene: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the corners of what can be hit, shape (n, 4, 2)."""
-        wall = np.clip(target - self.count, 0, len(WALL_LENGTHS) - 1)
-        target_corners: np.ndarray = WALL_CORNERS.take(wall, axis=0)
+        wall = np.clip(target - self.count, 0, N_WALLS - 1)
+        walls, lengths = walls_of(state.free[:, scene])
+        pairs = np.arange(len(scene))
+        target_corners = corners(
+            walls[pairs, wall], WALL_DIRECTIONS[wall], lengths[pairs, wall], WALL_THICKNESS_M
+        )
         if self.n_obstacles:
             is_obstacle = target >= self._first_obstacle
             number = target[is_obstacle] - self._first_obstacle
@@ -273,10 +285,13 @@ class Collisions:
         motion = travel * state.direction
         left_below = reach - state.position - np.minimum(motion, 0)
         right_above = reach + state.position + np.maximum(motion, 0)
-        outward = np.concatenate((left_below, right_above))[WALL_SIDES]
-        scene, wall = np.nonzero(outward.T > WALL_DISTANCES)
-        offset = WALL_POSITIONS.take(wall, axis=0) - state.position.take(scene, axis=1).T
-        near = ~out_of_reach(offset, CAR_DIAGONAL_M, WALL_DIAGONALS[wall], travel[scene])
+        outward = np.concatenate((left_below, right_above))[OUTWARD]
+        scene, wall = np.nonzero((outward > state.free[WALL_ACROSS]).T)
+        walls, lengths = walls_of(state.free[:, scene])
+        pairs = np.arange(len(scene))
+        offset = walls[pairs, wall] - state.position.take(scene, axis=1).T
+        diagonal = diagonals(lengths[pairs, wall])
+        near = ~out_of_reach(offset, CAR_DIAGONAL_M, diagonal, travel[scene])
         return scene[near], wall[near]
 
 

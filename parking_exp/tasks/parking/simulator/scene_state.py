@@ -5,18 +5,20 @@ from typing import Self
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import SLOT_HEADINGS, SLOT_POSITIONS
+from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 from parking_exp.tasks.parking.nearby_vehicles import FAR_M
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
-COLUMNS = ("position", "direction")
+COLUMNS = ("position", "direction", "free")
 
 
 @dataclass
 class SceneState:
     """The complete state of n scenes. Scenes are rows, or columns of `COLUMNS`."""
 
-    goal: np.ndarray  # slots, shape (n,)
+    goal: np.ndarray  # pose of the goal slots, shape (n, 3) [m, m, rad]
+    slot_size: np.ndarray  # length and width of the goal slots, shape (n, 2) [m]
+    free: np.ndarray  # half the space between the walls' inner faces, shape (2, n) [m]
     position: np.ndarray  # of the cars, shape (2, n) [m]
     heading: np.ndarray  # shape (n,) [rad]
     direction: np.ndarray  # its cosine and sine, shape (2, n)
@@ -37,19 +39,22 @@ class SceneState:
     def at_start(cls, scenes: Scenes) -> Self:
         """Return the state in which scenes start."""
         n, count = scenes.vehicles.shape
-        vehicles = SLOT_POSITIONS[scenes.vehicles]
+        vehicle_pose = scenes.vehicle_pose
+        vehicles = vehicle_pose[..., :2]
         row, vehicle = np.nonzero(scenes.vehicles == NO_SLOT)
         vehicles[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other
         return cls(
-            goal=scenes.goal.copy(),
-            position=np.zeros((2, n)),
+            goal=scenes.goal_pose,
+            slot_size=scenes.slot_size.copy(),
+            free=(scenes.box.T - WALL_THICKNESS_M) / 2,
+            position=scenes.start[:, :2].T.copy(),
             heading=scenes.heading.copy(),
             direction=np.array([np.cos(scenes.heading), np.sin(scenes.heading)]),
             speed=np.zeros(n),
             crashed=np.zeros(n, bool),
             steps=np.zeros(n, np.int64),
             vehicles=vehicles,
-            vehicle_heading=SLOT_HEADINGS[scenes.vehicles],
+            vehicle_heading=vehicle_pose[..., 2],
             obstacles=scenes.obstacles.copy(),
             hit=np.zeros((n, 1 + count), bool),
             impact=np.zeros((n, 1 + count, 2)),

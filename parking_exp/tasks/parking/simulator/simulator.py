@@ -13,16 +13,12 @@ import numpy as np
 from parking_exp.tasks.parking.geometry import (
     CAR_DIAGONAL_M,
     CAR_LENGTH_M,
-    LOT_LENGTH_M,
-    LOT_WIDTH_M,
-    SLOT_HEADINGS,
-    SLOT_POSITIONS,
-    WALL_THICKNESS_M,
 )
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES, ParkingConfig
 from parking_exp.tasks.parking.pose import Pose, relative_pose
-from parking_exp.tasks.parking.reward import ParkingReward
+from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator.collisions import Collisions, extent
 from parking_exp.tasks.parking.simulator.dynamics import (
@@ -38,10 +34,6 @@ from parking_exp.tasks.task import Step
 ACCELERATION_RANGE_MPS2: Range = (-5.0, 5.0)
 STEERING_RANGE_RAD: Range = (-np.pi / 4, np.pi / 4)
 SPEED_RANGE_MPS: Range = (-40.0, 40.0)
-
-# Half the space between the walls' inner faces, shape (2, 1).
-FREE_M = np.array([[LOT_LENGTH_M - WALL_THICKNESS_M], [LOT_WIDTH_M - WALL_THICKNESS_M]]) / 2
-ROW_M = abs(float(SLOT_POSITIONS[0, 1]))
 
 
 class Simulator:
@@ -62,14 +54,10 @@ class Simulator:
         self.dt = 1 / config.simulation_frequency
         self.episode_steps = config.episode_steps()
         self.walls = config.add_walls
-        self.reward = ParkingReward.of(config)
+        self.reward = reward_of(config)
         self.n_seen = config.observation.vehicles_count
         self.scales = np.array(DEFAULT_SCALES, np.float64)
-        slots = np.zeros((len(SLOT_HEADINGS), len(DEFAULT_FEATURES)))
-        slots[:, :2] = SLOT_POSITIONS
-        slots[:, 4] = np.cos(SLOT_HEADINGS)
-        slots[:, 5] = np.sin(SLOT_HEADINGS)
-        self._slot_goals = slots / self.scales
+        self._row_m = lot_of(config).row_m
         self._collisions = Collisions(
             self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls
         )
@@ -103,7 +91,7 @@ class Simulator:
         return {
             "observation": observed,
             "achieved_goal": scaled.copy(),
-            "desired_goal": self._slot_goals[self.state.goal[rows]],
+            "desired_goal": self._goals(rows),
         }
 
     def _observe_vehicles(self, pose: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
@@ -142,13 +130,13 @@ class Simulator:
     def ending(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""
         state = self.state
-        goal = state.goal[row]
         return relative_pose(
             state.position[:, row],
             state.heading[row],
             state.speed[row],
-            SLOT_POSITIONS[goal],
-            SLOT_HEADINGS[goal],
+            state.goal[row, :2],
+            state.goal[row, 2],
+            state.slot_size[row],
         )
 
     def info(self, row: int) -> dict[str, Any]:
@@ -223,7 +211,7 @@ class Simulator:
             # `turn`.
             reach = extent(state.direction)
             turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
-            near = farthest + reach + (ahead + turn * (CAR_DIAGONAL_M / 2)) > FREE_M
+            near = farthest + reach + (ahead + turn * (CAR_DIAGONAL_M / 2)) > state.free
             uncertain |= near[0]
             uncertain |= near[1]
         reach_m = ahead * (self.frames + 1) + CAR_DIAGONAL_M
@@ -237,7 +225,7 @@ class Simulator:
         """Return a mask of the scenes where a parked car is near, or has been moved."""
         state = self.state
         near: np.ndarray = state.disturbed.copy()
-        close = np.flatnonzero(np.abs(state.position[1]) + reach > ROW_M)
+        close = np.flatnonzero(np.abs(state.position[1]) + reach > self._row_m)
         near[close] |= _any_within(reach[close], state.position[:, close], state.vehicles[close])
         return near
 
@@ -285,10 +273,24 @@ class Simulator:
         np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
         return pose.T
 
+    def _goals(self, rows: np.ndarray | slice) -> np.ndarray:
+        """Return x, y, vx, vy, cos_h, sin_h of the goals, shape (n, 6), in units of the
+        observation.
+        """
+        pose = self.state.goal[rows]
+        goals = np.zeros((len(pose), len(DEFAULT_FEATURES)))
+        goals[:, :2] = pose[:, :2]
+        goals[:, 4] = np.cos(pose[:, 2])
+        goals[:, 5] = np.sin(pose[:, 2])
+        goals /= self.scales
+        return goals
+
     def _outcome(self) -> Step:
         state = self.state
         observation = self.observe()
-        reward, success = self.reward(observation["achieved_goal"], observation["desired_goal"])
+        reward, success = self.reward(
+            observation["achieved_goal"], observation["desired_goal"], state.slot_size
+        )
         crashed = state.crashed.copy()
         return Step(
             observation=observation,

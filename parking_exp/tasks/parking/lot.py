@@ -1,0 +1,171 @@
+"""Lots: the geometry of parking-v0's own lot and of parametric ones, and how scenes are drawn."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from parking_exp.tasks.parking.geometry import LOT_LENGTH_M, LOT_WIDTH_M, ROW_Y_M, WALL_THICKNESS_M
+from parking_exp.tasks.parking.lot_config import GAP_M, TINY, LotConfig, bounds
+from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+
+N_LENGTHS = (
+    3  # numbers of a lot that scenes draw: length and width of the slots, width of the aisle
+)
+
+
+@dataclass(frozen=True)
+class HighwayLot:
+    """highway-env's own lot: 28 slots in two rows, 70 x 42 m."""
+
+    vehicles_range: tuple[int, int]
+    n_obstacles: int
+    row_m = ROW_Y_M  # no row is nearer to the middle of the lot
+    size_m = (LOT_LENGTH_M, LOT_WIDTH_M)
+
+    def from_seeds(self, seeds: Sequence[int]) -> Scenes:
+        """Return the scenes of `env.reset(seed=s)` of highway-env."""
+        return Scenes.from_seeds(seeds, self.vehicles_range, self.n_obstacles)
+
+    def random(self, rng: np.random.Generator, n: int) -> Scenes:
+        """Draw scenes of the same distribution, many at once."""
+        return Scenes.random(rng, n, self.vehicles_range, self.n_obstacles)
+
+
+class ParametricLot:
+    """Rows of slots along an aisle; see `LotConfig`.
+
+    A scene is made from `n_draws` numbers, uniform in [0, 1): those of `env.reset(seed=s)` are
+    `gymnasium.utils.seeding.np_random(s)[0].random(n_draws)`. In this order they choose length and
+    width of the slots, width of the aisle; x, y and heading of the start; the goal; the number of
+    parked cars; and one for each slot the order in which cars take the slots, lowest first.
+    """
+
+    def __init__(self, config: LotConfig, vehicles_range: tuple[int, int]) -> None:
+        self.config = config
+        self.vehicles_range = vehicles_range
+        self.n_draws = N_LENGTHS + 5 + config.n_slots
+        lengths = (config.slot_length_m, config.slot_width_m, config.aisle_width_m)
+        self._lengths = np.array([bounds(value) for value in lengths])
+        starts = config.starts
+        self._starts = np.array([starts.x_m, starts.y_m, np.radians(starts.heading_deg)])
+        self._goals = np.arange(config.n_slots)
+        if config.neighbours == "taken":
+            last = config.slots_per_row - 1
+            in_row = self._goals % config.slots_per_row
+            self._goals = self._goals[(in_row > 0) & (in_row < last)]
+        extremes = np.zeros((2, self.n_draws))
+        extremes[1] = np.nextafter(1.0, 0.0)
+        scenes = self.scenes(extremes)
+        length, width = scenes.box[1].tolist()
+        self.size_m = (length, width)
+        self.row_m = float(np.abs(scenes.slots[..., 1]).min()) - TINY
+
+    def from_seeds(self, seeds: Sequence[int]) -> Scenes:
+        """Return the scenes of `env.reset(seed=s)`."""
+        draws = np.empty((len(seeds), self.n_draws))
+        for row, seed in enumerate(seeds):
+            # What gymnasium's `np_random(seed)` makes.
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
+            draws[row] = rng.random(self.n_draws)
+        return self.scenes(draws)
+
+    def random(self, rng: np.random.Generator, n: int) -> Scenes:
+        """Draw scenes of the same distribution, many at once."""
+        return self.scenes(rng.random((n, self.n_draws)))
+
+    def scenes(self, draws: np.ndarray) -> Scenes:
+        """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
+        n = len(draws)
+        lengths, starts, others, order = np.split(
+            draws, (N_LENGTHS, N_LENGTHS + 3, N_LENGTHS + 5), axis=1
+        )
+        slot_length, slot_width, aisle = _scaled(lengths, self._lengths).T
+        slots, box, middle = self._geometry(slot_length, slot_width, aisle)
+
+        start = _scaled(starts, self._starts)
+        start[:, :2] += middle
+        goal = self._goals[(others[:, 0] * len(self._goals)).astype(np.int64)]
+        low, high = self.vehicles_range
+        number = low + (others[:, 1] * (high - low + 1)).astype(np.int64)
+        return Scenes(
+            start=start,
+            goal=goal,
+            vehicles=self._taken(order, goal, number),
+            obstacles=np.zeros((n, 0, 2)),
+            slots=slots,
+            slot_size=np.stack([slot_length, slot_width], axis=1),
+            box=box,
+        )
+
+    def _geometry(
+        self, slot_length: np.ndarray, slot_width: np.ndarray, aisle: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the poses of the slots, shape (n, slots, 3), the size of the box, and the middle
+        of the aisle in it, both of shape (n, 2).
+
+        The arguments have the shape (n,). The middle of the box is the origin.
+        """
+        config = self.config
+        angle = np.radians(config.angle_deg)
+        sin = np.sin(angle)
+        cos = np.cos(angle)
+        pitch = np.full(len(aisle), config.pitch_m)
+        if config.pitch_m is None:
+            pitch = config.closest_pitch_m(slot_length, slot_width)
+        depth = slot_length * sin + slot_width * cos
+        half_row = (slot_length * cos + slot_width * sin + (config.slots_per_row - 1) * pitch) / 2
+
+        left = half_row + config.end_m
+        right = half_row + (GAP_M if config.dead_end else config.end_m)
+        above = aisle / 2 + depth + GAP_M
+        below = above if config.rows == 2 else aisle / 2
+        middle = np.stack([left - right, below - above], axis=1) / 2
+        box = np.stack([left + right, above + below], axis=1) + WALL_THICKNESS_M
+
+        in_row = np.arange(config.slots_per_row) - (config.slots_per_row - 1) / 2
+        x = pitch[:, None] * in_row
+        y = np.repeat(((aisle + depth) / 2)[:, None], config.slots_per_row, axis=1)
+        if config.rows == 2:
+            # The row below is the one above, turned by 180 degrees.
+            x = np.concatenate([x, -x], axis=1)
+            y = np.concatenate([y, -y], axis=1)
+        slots = np.empty((*x.shape, 3))
+        slots[..., 0] = x + middle[:, :1]
+        slots[..., 1] = y + middle[:, 1:]
+        slots[..., 2] = angle
+        slots[:, config.slots_per_row :, 2] += np.pi
+        if config.heading == "out":
+            slots[..., 2] += np.pi
+        return slots, box, middle
+
+    def _taken(self, order: np.ndarray, goal: np.ndarray, number: np.ndarray) -> np.ndarray:
+        """Return the slots of the parked cars, shape (n, most cars), NO_SLOT beyond their
+        number.
+        """
+        order = order.copy()
+        rows = np.arange(len(order))
+        if self.config.neighbours == "taken":
+            order[rows, goal - 1] = -2.0
+            order[rows, goal + 1] = -1.0
+        order[rows, goal] = 1.0
+        taken = np.argsort(order, axis=1, kind="stable")[:, : self.vehicles_range[1]]
+        taken[np.arange(taken.shape[1]) >= number[:, None]] = NO_SLOT
+        return taken
+
+
+def _scaled(draws: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """Return numbers in [0, 1), shape (n, k), scaled to k ranges, shape (k, 2)."""
+    low, high = ranges.T
+    return low + draws * (high - low)
+
+
+Lot = HighwayLot | ParametricLot
+
+
+def lot_of(config: ParkingConfig) -> Lot:
+    """Return the lot of an `env` group."""
+    if config.lot is None:
+        return HighwayLot(config.vehicles_range, config.obstacles)
+    return ParametricLot(config.lot, config.vehicles_range)

@@ -1,0 +1,160 @@
+"""The `env.lot` section: the geometry of a lot other than highway-env's own."""
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from parking_exp.config_model import Bounds, ConfigModel
+from parking_exp.tasks.parking.geometry import CAR_DIAGONAL_M, CAR_LENGTH_M, CAR_WIDTH_M
+
+TINY = 1e-9
+GAP_M = 0.5  # from the slots to the wall behind them, and beside the last one of a dead end
+
+
+def _check_order(value: float | list[float]) -> float | list[float]:
+    if isinstance(value, list) and value[0] > value[1]:
+        raise ValueError("the lowest number comes first")
+    return value
+
+
+Metres = Annotated[float, Field(gt=0, le=1000)]
+Drawn = Annotated[
+    Metres | Annotated[list[Metres], Field(min_length=2, max_length=2)],
+    AfterValidator(_check_order),
+]
+"""A number, or the lowest and the highest of those that scenes draw."""
+Ordered = Annotated[Bounds, AfterValidator(_check_order)]
+
+
+def bounds(value: float | list[float]) -> tuple[float, float]:
+    """Return the lowest and the highest value of a number or a range."""
+    if isinstance(value, list):
+        low, high = value
+        return low, high
+    return value, value
+
+
+class StartsConfig(ConfigModel):
+    """Where the car starts, each uniform in its range, relative to the middle of the aisle."""
+
+    x_m: Ordered
+    y_m: Ordered
+    heading_deg: Ordered
+
+
+class LotConfig(ConfigModel):
+    """Rows of equal slots along an aisle, in a box of four walls.
+
+    Lengths and the angle are numbers, or ranges from which each scene draws its own.
+    """
+
+    angle_deg: Annotated[float, Field(ge=0, le=90)]  # of the slots to the aisle
+    slot_length_m: Drawn
+    slot_width_m: Drawn
+    aisle_width_m: Drawn
+    # From slot to slot along the aisle; None: side by side.
+    pitch_m: Metres | None
+    slots_per_row: Annotated[int, Field(ge=1, le=100)]
+    rows: Literal[1, 2]
+    end_m: Annotated[float, Field(ge=0, le=1000)]  # of the aisle, beyond the rows
+    dead_end: bool
+    heading: Literal["in", "out"]
+    neighbours: Literal["any", "taken"]
+    starts: StartsConfig
+
+    @property
+    def n_slots(self) -> int:
+        """Number of slots."""
+        return self.rows * self.slots_per_row
+
+    def closest_pitch_m(
+        self, slot_length_m: np.ndarray | float, slot_width_m: np.ndarray | float
+    ) -> np.ndarray:
+        """Return the smallest distances along the aisle at which slots of some sizes do not
+        overlap.
+        """
+        angle = math.radians(self.angle_deg)
+        side_by_side = slot_width_m / max(math.sin(angle), TINY)
+        one_behind_the_other = slot_length_m / max(math.cos(angle), TINY)
+        return np.minimum(side_by_side, one_behind_the_other)
+
+    def problems(self, vehicles: tuple[int, int]) -> Iterator[str]:
+        """Yield a sentence for each reason why this lot can't be.
+
+        `vehicles` are the lowest and the highest number of parked cars.
+        """
+        yield from self._slot_problems()
+        yield from self._start_problems()
+        yield from self._vehicle_problems(vehicles)
+
+    def _slot_problems(self) -> Iterator[str]:
+        sides = (("slot_length_m", CAR_LENGTH_M, "long"), ("slot_width_m", CAR_WIDTH_M, "wide"))
+        for key, car_m, word in sides:
+            lowest, _ = bounds(getattr(self, key))
+            if lowest <= car_m:
+                yield f"env.lot.{key}={lowest:g}: the car is {car_m:g} m {word}"
+        _, length = bounds(self.slot_length_m)
+        _, width = bounds(self.slot_width_m)
+        needed = float(self.closest_pitch_m(length, width))
+        if self.pitch_m is not None and self.pitch_m < needed - TINY:
+            yield f"env.lot.pitch_m={self.pitch_m:g}: slots overlap below {needed:.3g} m"
+
+    def _start_problems(self) -> Iterator[str]:
+        starts = self.starts
+        along, across = self._start_extent()
+        aisle, _ = bounds(self.aisle_width_m)
+        farthest = max(map(abs, starts.y_m)) + across
+        if farthest >= aisle / 2:
+            yield (
+                f"env.lot.aisle_width_m={aisle:g}: cars that start within "
+                f"env.lot.starts need {2 * farthest:.3g} m"
+            )
+        right = GAP_M if self.dead_end else self.end_m
+        half_row = self._half_row_m()
+        ends = (-half_row - self.end_m, half_row + right)
+        if starts.x_m[0] - along <= ends[0] or starts.x_m[1] + along >= ends[1]:
+            yield (
+                f"env.lot.starts.x_m={starts.x_m}: cars would start in the walls, which are at "
+                f"{ends[0]:.3g} and {ends[1]:.3g} m"
+            )
+
+    def _start_extent(self) -> tuple[float, float]:
+        """Return how far a car may reach at its start from its centre, along and across the
+        aisle.
+        """
+        low, high = self.starts.heading_deg
+        if high - low >= 180:
+            return CAR_DIAGONAL_M / 2, CAR_DIAGONAL_M / 2
+        steps = 1 + math.ceil(high - low)
+        along = 0.0
+        across = 0.0
+        for step in range(steps + 1):
+            angle = math.radians(low + (high - low) * step / steps)
+            cos = abs(math.cos(angle)) / 2
+            sin = abs(math.sin(angle)) / 2
+            along = max(along, CAR_LENGTH_M * cos + CAR_WIDTH_M * sin)
+            across = max(across, CAR_LENGTH_M * sin + CAR_WIDTH_M * cos)
+        return along, across
+
+    def _half_row_m(self) -> float:
+        """Return half the length of the shortest rows of the scenes."""
+        length, _ = bounds(self.slot_length_m)
+        width, _ = bounds(self.slot_width_m)
+        angle = math.radians(self.angle_deg)
+        pitch = self.pitch_m or float(self.closest_pitch_m(length, width))
+        extent = length * math.cos(angle) + width * math.sin(angle)
+        return ((self.slots_per_row - 1) * pitch + extent) / 2
+
+    def _vehicle_problems(self, vehicles: tuple[int, int]) -> Iterator[str]:
+        low, high = vehicles
+        if high >= self.n_slots:
+            yield (
+                f"env.vehicles_count={high}: the lot has {self.n_slots} slots, and one is the goal"
+            )
+        if self.neighbours == "taken" and low < 2:
+            yield f"env.vehicles_count={low}: env.lot.neighbours=taken needs two cars or more"
+        if self.neighbours == "taken" and self.slots_per_row < 3:
+            yield "env.lot.slots_per_row: env.lot.neighbours=taken needs three slots or more"
