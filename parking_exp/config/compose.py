@@ -239,7 +239,21 @@ def options_of(group: str) -> str:
     return textwrap.fill(", ".join(options), 100, subsequent_indent=" " * (len(group) + 2))
 
 
+def value_of_level(key: str, _root_: DictConfig) -> Any:
+    """Return a value of the chosen level of an env: `${level:slot_length_m}`.
+
+    Raises:
+        ConfigError: there is no such level.
+    """
+    levels = _root_.env.levels
+    level = _root_.env.level
+    if level not in levels:
+        raise ConfigError(f"env.level={level}: choose from {', '.join(levels)}")
+    return levels[level][key]
+
+
 OmegaConf.register_new_resolver("options", options_of, replace=True)
+OmegaConf.register_new_resolver("level", value_of_level, replace=True)
 
 
 def user_options(extra_config_dir: str | None) -> list[str]:

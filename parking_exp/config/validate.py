@@ -61,6 +61,10 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     return runs
 
 
+# What omegaconf puts before the message of an error of ours.
+OF_RESOLVER = "ConfigError raised while resolving interpolation: "
+
+
 def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -> Model:
     """Resolve interpolations and check a config, less some keys, against a schema; raises as
     `validate`.
@@ -71,7 +75,8 @@ def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -
     except MissingMandatoryValue as error:
         raise ConfigError(f"{error.full_key} is missing") from error
     except OmegaConfBaseException as error:
-        raise ConfigError(f"{error.full_key}: {first_line(error)}") from error
+        reason = first_line(error).removeprefix(OF_RESOLVER)
+        raise ConfigError(f"{error.full_key}: {reason}") from error
     return check(model, {key: value for key, value in plain.items() if key not in without})
 
 

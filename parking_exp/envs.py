@@ -1,0 +1,51 @@
+"""Parking lots as environments of Gymnasium. Importing this module registers them.
+
+import gymnasium as gym
+import parking_exp.envs
+
+env = gym.make("parking_exp/Parallel-v0", level="hard", render_mode="rgb_array")
+"""
+
+from collections.abc import Sequence
+
+import gymnasium as gym
+
+from parking_exp.config.compose import compose
+from parking_exp.tasks.parking.parking_config import ParkingConfig
+
+LOTS = {
+    "parking_exp/Parallel-v0": "parking_parallel",
+    "parking_exp/Bays-v0": "parking_bays",
+    "parking_exp/Angled-v0": "parking_angled",
+    "parking_exp/DeadEnd-v0": "parking_dead_end",
+}
+"""Ids of the environments, and the options of the config group `env` that describe them."""
+
+
+def make_lot(
+    env: str,
+    level: str | None = None,
+    render_mode: str | None = None,
+    overrides: Sequence[str] = (),
+) -> gym.Env:
+    """Make the environment of an option of the `env` group, simulated by highway-env.
+
+    Args:
+        env: such as `parking_parallel`.
+        level: one of the option's levels; None: its first.
+        render_mode: None or `rgb_array`.
+        overrides: of the config, as in commands, for example `["env.lot.aisle_width_m=6"]`.
+
+    Raises:
+        ConfigError: there is no such option, level or key, or the lot can't be.
+    """
+    from parking_exp.tasks.parking.highway import make_env
+
+    of_level = [] if level is None else [f"env.level={level}"]
+    config = compose(f"env={env}", *of_level, *overrides).env
+    assert isinstance(config, ParkingConfig)
+    return make_env(config, render_mode=render_mode)
+
+
+for _id, _env in LOTS.items():
+    gym.register(_id, entry_point=make_lot, kwargs={"env": _env})

@@ -1,0 +1,282 @@
+"""Tests of parametric lots: their geometry, their scenes, and that highway-env simulates the same."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3 import TD3, HerReplayBuffer
+from support.runs import make_config
+from support.simulator_equality import actions_of, compare
+
+import parking_exp.envs
+from parking_exp.errors import ConfigError
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.lot import lot_of
+from parking_exp.tasks.parking.reward import reward_of
+from parking_exp.tasks.parking.scenes import NO_SLOT
+from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.parking.vec_env import ParkingVecEnv
+
+LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end")
+LEVELS = ("easy", "normal", "hard", "extreme")
+VARIANTS = [(lot, level) for lot in LOTS for level in LEVELS]
+
+
+def env_config(lot, *overrides):
+    return make_config(f"env={lot}", *[f"env.{override}" for override in overrides]).env
+
+
+def differences(config, kind, n_scenes):
+    """What differs between simulator and highway-env in episodes of 20 s."""
+    short = config.model_copy(update={"duration": 20.0})
+    scenes = list(range(n_scenes))
+    act = actions_of(kind, np.random.default_rng(1), (n_scenes, 2))
+    n_steps, different = compare(short, scenes, act)
+    assert n_steps > n_scenes
+    return different
+
+
+@pytest.mark.parametrize(("lot", "level"), VARIANTS)
+def test_a_lot_is_simulated_as_highway_env_does(lot, level):
+    assert differences(env_config(lot, f"level={level}"), "biased", 3) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["random", "biased", "gentle"])
+@pytest.mark.parametrize(("lot", "level"), VARIANTS)
+def test_a_lot_is_simulated_as_highway_env_does_in_many_scenes(lot, level, kind):
+    assert differences(env_config(lot, f"level={level}"), kind, 60) == []
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["lot.rows=1", "vehicles_count=6"],
+        ["lot.angle_deg=30", "lot.heading=out", "lot.pitch_m=12"],
+        ["lot.neighbours=any", "vehicles_count=0", "add_walls=false"],
+    ],
+)
+def test_other_lots_are_simulated_as_highway_env_does(overrides):
+    assert differences(env_config("parking_parallel", *overrides), "biased", 3) == []
+
+
+def test_parallel_slots_stand_in_two_rows_along_the_street():
+    scenes = lot_of(env_config("parking_parallel")).from_seeds([0])
+    slots = scenes.slots[0]
+    above = [-28.0, -20.0, -12.0, -4.0, 4.0, 12.0, 20.0, 28.0]
+    np.testing.assert_allclose(slots[:8, 0], above)
+    np.testing.assert_allclose(slots[8:, 0], above[::-1])
+    np.testing.assert_allclose(slots[:, 1], [8.5] * 8 + [-8.5] * 8)  # (14 + 3) / 2
+    np.testing.assert_allclose(slots[:, 2], [0.0] * 8 + [np.pi] * 8)
+    np.testing.assert_array_equal(scenes.slot_size, [[8.0, 3.0]])
+    # 8 slots of 8 m, 8 m beyond them at both ends; 14 m, 3 m and 0.5 m on both sides; half a wall.
+    np.testing.assert_allclose(scenes.box, [[64 + 16 + 1, 14 + 6 + 1 + 1]])
+
+
+def test_bays_stand_across_the_aisle_and_their_cars_point_out_of_them():
+    config = env_config("parking_bays", "lot.slot_width_m=3", "lot.aisle_width_m=6")
+    slots = lot_of(config).from_seeds([0]).slots[0]
+    np.testing.assert_allclose(np.diff(slots[:9, 0]), 3.0)
+    np.testing.assert_allclose(slots[:9, 1], 6.0)  # (6 + 6) / 2
+    np.testing.assert_allclose(np.sin(slots[:9, 2]), -1.0)  # towards the aisle
+    inward = env_config("parking_bays", "lot.heading=in")
+    np.testing.assert_allclose(np.sin(lot_of(inward).from_seeds([0]).slots[0, :9, 2]), 1.0)
+
+
+def test_angled_slots_touch_and_do_not_overlap():
+    config = env_config("parking_angled", "lot.angle_deg=60", "lot.slot_width_m=3")
+    slots = lot_of(config).from_seeds([0]).slots[0]
+    # Side by side, their width measured along the aisle is 3 / sin 60.
+    np.testing.assert_allclose(np.diff(slots[:9, 0]), 3.0 / np.sin(np.pi / 3))
+    np.testing.assert_allclose(slots[:9, 2], np.pi / 3)
+
+
+def test_a_dead_end_has_the_wall_half_a_metre_behind_its_rows():
+    config = env_config("parking_dead_end", "lot.slot_width_m=3")
+    scenes = lot_of(config).from_seeds([0])
+    wall = (scenes.box[0, 0] - 1) / 2
+    assert wall - scenes.slots[0, :, 0].max() == pytest.approx(1.5 + 0.5)
+    assert wall + scenes.slots[0, :, 0].min() == pytest.approx(1.5 + 16.0)
+
+
+def test_one_row_has_the_wall_on_the_other_side_of_the_aisle():
+    config = env_config("parking_parallel", "lot.rows=1", "vehicles_count=3")
+    scenes = lot_of(config).from_seeds([0])
+    assert scenes.slots.shape == (1, 8, 3)
+    wall = (scenes.box[0, 1] - 1) / 2
+    assert scenes.slots[0, 0, 1] + wall == pytest.approx(14 + 1.5)
+    assert wall - scenes.slots[0, 0, 1] == pytest.approx(1.5 + 0.5)
+
+
+@pytest.mark.parametrize("lot", LOTS)
+def test_both_neighbours_of_every_goal_are_taken(lot):
+    config = env_config(lot)
+    scenes = lot_of(config).random(np.random.default_rng(0), 300)
+    for goal, taken in zip(scenes.goal, scenes.vehicles, strict=True):
+        assert {goal - 1, goal + 1} <= set(taken)
+        assert goal not in taken
+        assert 0 < goal % config.lot.slots_per_row < config.lot.slots_per_row - 1
+    numbers = (scenes.vehicles != NO_SLOT).sum(axis=1)
+    assert (numbers.min(), numbers.max()) == config.vehicles_range
+
+
+def test_any_slot_is_a_goal_where_neighbours_are_any():
+    config = env_config("parking_parallel", "lot.neighbours=any", "vehicles_count=0")
+    scenes = lot_of(config).random(np.random.default_rng(0), 1000)
+    assert set(scenes.goal) == set(range(16))
+
+
+def test_scenes_draw_the_numbers_of_their_lot_from_the_ranges():
+    config = env_config("parking_bays", "level=hard")
+    scenes = lot_of(config).random(np.random.default_rng(0), 2000)
+    width = scenes.slot_size[:, 1]
+    assert 2.4 <= width.min() < 2.41
+    assert 2.84 < width.max() <= 2.85
+    aisle = scenes.box[:, 1] - 2 * (6.0 + 0.5) - 1
+    assert 5.5 <= aisle.min() < 5.51
+    assert 6.49 < aisle.max() <= 6.5
+
+
+def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
+    config = env_config("parking_angled", "level=normal")
+    lot = lot_of(config)
+    rng, _ = gym.utils.seeding.np_random(7)
+    by_rule = lot.scenes(rng.random((1, lot.n_draws)))
+    by_seed = lot.from_seeds([7])
+    for name, array in vars(by_rule).items():
+        np.testing.assert_array_equal(array, getattr(by_seed, name))
+    env = make_env(config)
+    env.reset(seed=7)
+    car = env.unwrapped.vehicle
+    np.testing.assert_array_equal([*car.position, car.heading], by_seed.start[0])
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["lot.slot_length_m=4.9"], "env.lot.slot_length_m=4.9: the car is 5 m long"),
+        (["lot.slot_width_m=[2,3]"], "env.lot.slot_width_m=2: the car is 2 m wide"),
+        (["lot.slot_length_m=[9,8]"], "env.lot.slot_length_m: the lowest number comes first"),
+        (["lot.pitch_m=5"], "env.lot.pitch_m=5: slots overlap below 8 m"),
+        (
+            ["lot.aisle_width_m=5"],
+            "env.lot.aisle_width_m=5: cars that start within env.lot.starts need 11.4 m",
+        ),
+        (["lot.starts.x_m=[-60,0]"], "cars would start in the walls, which are at -40 and 40 m"),
+        (["vehicles_count=16"], "env.vehicles_count=16: the lot has 16 slots, and one is the goal"),
+        (["vehicles_count=[1,9]"], "env.lot.neighbours=taken needs two cars or more"),
+        (
+            ["lot.slots_per_row=2", "lot.starts.x_m=[-5,5]", "vehicles_count=2"],
+            "needs three slots or more",
+        ),
+        (["obstacles=3"], "env.obstacles=3: highway-env's own lot only has obstacles"),
+        (["level=medium"], "env.level=medium: choose from easy, normal, hard, extreme"),
+    ],
+)
+def test_a_lot_that_cannot_be_is_one_sentence(overrides, message):
+    with pytest.raises(ConfigError) as error:
+        env_config("parking_parallel", *overrides)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_level_sets_the_numbers_of_the_lot_and_each_can_be_overridden():
+    assert env_config("parking_parallel", "level=hard").lot.slot_length_m == [5.9, 6.25]
+    mixed = env_config("parking_bays", "level=hard", "lot.aisle_width_m=9").lot
+    assert (mixed.slot_width_m, mixed.aisle_width_m) == ([2.4, 2.85], 9.0)
+
+
+def goal(x, y, heading, speed=0.0):
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.array([x, y, speed * cos, speed * sin, cos, sin]) / [100, 100, 5, 5, 1, 1]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 2, np.pi, 5.0])
+def test_the_dense_reward_is_the_same_for_slots_of_all_angles(angle):
+    reward = reward_of(env_config("parking_parallel"))
+    cos, sin = np.cos(angle), np.sin(angle)
+    # 3 m ahead of the slot's centre, 2 m to its left, turned by 0.3 rad, at 1 m/s.
+    achieved = goal(4 + 3 * cos - 2 * sin, 5 + 3 * sin + 2 * cos, angle + 0.3, 1.0)
+    dense, parked = reward(achieved, goal(4, 5, angle), np.array([8.0, 3.0]))
+    along, across = 0.34 * 0.03, 0.5 * 0.02
+    speeds = 0.051 * 0.2 * (np.cos(0.3) + np.sin(0.3))
+    headings = 0.0275 * (1 - np.cos(0.3) + np.sin(0.3))
+    assert dense == pytest.approx(-np.sqrt(along + across + speeds + headings), abs=1e-12)
+    assert not parked
+
+
+@pytest.mark.parametrize(
+    ("ahead", "speed", "slot_length", "parked"),
+    [
+        (0.0, 0.0, 5.6, True),
+        (0.29, 0.0, 5.6, True),  # 0.29 + 5 / 2 < 5.6 / 2
+        (0.31, 0.0, 5.6, False),
+        (0.31, 0.0, 8.0, True),
+        (1.49, 0.49, 8.0, True),
+        (0.0, 0.51, 8.0, False),
+    ],
+)
+def test_success_is_parked_between_the_lines_of_this_slot(ahead, speed, slot_length, parked):
+    config = env_config("parking_parallel", "reward=sparse")
+    achieved = goal(4 + ahead, 5, 0.0, speed)
+    sparse, success = reward_of(config)(achieved, goal(4, 5, 0.0), np.array([slot_length, 3.0]))
+    assert success == parked
+    assert sparse == (0.0 if parked else -1.0)
+
+
+def test_training_tells_her_the_size_of_the_slot():
+    envs = ParkingVecEnv(env_config("parking_bays", "level=hard"), 3)
+    envs.seed(5)
+    envs.reset()
+    sizes = envs.simulator.state.slot_size.copy()
+    _, _, _, infos = envs.step(np.zeros((3, 2), np.float32))
+    told = [[info["slot_length_m"], info["slot_width_m"]] for info in infos]
+    np.testing.assert_array_equal(told, sizes)
+
+
+def test_a_car_in_its_slot_has_succeeded_in_the_simulator():
+    config = env_config("parking_angled", "level=normal")
+    scenes = lot_of(config).from_seeds(range(20))
+    simulator = Simulator(config, scenes)
+    simulator.state.position[:] = scenes.goal_pose[:, :2].T
+    simulator.state.heading[:] = scenes.goal_pose[:, 2]
+    step = simulator.step(np.zeros((20, 2), np.float32))
+    assert step.is_success.all()
+    assert step.terminated.all()
+    assert simulator.ending(0).parked
+
+
+@pytest.mark.parametrize("env_id", parking_exp.envs.LOTS)
+def test_gymnasium_makes_every_lot(env_id):
+    env = gym.make(env_id, level="hard")
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.observation_space["observation"].shape == (6 + 4 * 5,)
+    env.close()
+
+
+def test_gymnasium_makes_a_lot_with_overrides_and_draws_it():
+    overrides = ["env.lot.slot_length_m=9", "env.observation.vehicles_count=0"]
+    env = gym.make("parking_exp/Parallel-v0", render_mode="rgb_array", overrides=overrides)
+    _, info = env.reset(seed=0)
+    assert info["slot_length_m"] == 9.0
+    assert env.render().shape == (300, 600, 3)
+    env.close()
+
+
+def test_stable_baselines3_trains_on_a_lot_with_its_own_her():
+    env = gym.make("parking_exp/Parallel-v0", overrides=["env.duration=4"])
+    model = TD3(
+        "MultiInputPolicy",
+        env,
+        learning_starts=60,
+        batch_size=16,
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs={"copy_info_dict": True},
+        policy_kwargs={"net_arch": [8]},
+        seed=0,
+    )
+    model.learn(100)
+    assert model.num_timesteps == 100
+    assert model._n_updates > 0
+    env.close()
