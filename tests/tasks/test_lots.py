@@ -2,6 +2,7 @@
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import TD3, HerReplayBuffer
@@ -12,6 +13,7 @@ import parking_exp.envs
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot import lot_of
+from parking_exp.tasks.parking.parking_report import rates
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT
 from parking_exp.tasks.parking.simulator import Simulator
@@ -280,3 +282,27 @@ def test_stable_baselines3_trains_on_a_lot_with_its_own_her():
     assert model.num_timesteps == 100
     assert model._n_updates > 0
     env.close()
+
+
+def test_a_report_has_the_rates_by_slot_of_the_lot_that_was_stored():
+    """Ranges of a stored config are text, and numbers may have become floats."""
+    stored = {f"env.lot.{key}": value for key, value in STORED_LOT.items()}
+    config = env_config("parking_bays", "level=hard")
+    goals = lot_of(config).from_seeds(range(60)).goal
+    outcomes = np.where(goals == goals[0], "success", "crash")
+    episodes = pd.DataFrame({"scene": range(60), "outcome": outcomes})
+    data = rates([episodes], {"env.vehicles_count": "[9, 16]", **stored})
+    by_slot = {row["slot"]: row["success"] for row in data["slots"]}
+    assert by_slot == {slot: float(slot == goals[0]) for slot in set(goals)}
+    assert sum(row["n"] for row in data["slots"]) == 60
+    assert len(data["lot"]["slots"]) == 18
+    assert data["lot"]["slot_size"] == pytest.approx([6.0, (2.4 + 2.85) / 2])
+
+
+STORED_LOT = {
+    "angle_deg": np.float64(90.0), "slot_length_m": np.float64(6.0), "slot_width_m": "[2.4, 2.85]",
+    "aisle_width_m": "[5.5, 6.5]", "pitch_m": None, "slots_per_row": np.float64(9.0),
+    "rows": np.int64(2), "end_m": np.float64(8.0), "dead_end": np.False_, "heading": "out",
+    "neighbours": "taken", "starts.x_m": "[-12.0, 12.0]", "starts.y_m": "[-0.5, 0.5]",
+    "starts.heading_deg": "[-10.0, 10.0]",
+}  # fmt: skip

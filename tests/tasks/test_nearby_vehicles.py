@@ -25,7 +25,7 @@ from parking_exp.tasks.parking.features import (
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
-from parking_exp.tasks.parking.parking_report import vehicle_rates
+from parking_exp.tasks.parking.parking_report import rates
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, drawn_places
 
@@ -220,9 +220,9 @@ def test_rates_by_number_of_vehicles_and_their_figure():
         pd.DataFrame({"scene": rows, "outcome": outcomes[rows]})
         for rows in (np.arange(25), np.arange(10, 40))
     ]
-    rates = vehicle_rates(runs, {"env.vehicles_count": "[0, 2]"})
+    by_vehicles = rates(runs, {"env.vehicles_count": "[0, 2]"})["vehicles"]
     seen = np.concatenate([numbers[:25], numbers[10:]])
-    assert rates == [
+    assert by_vehicles == [
         {
             "vehicles": k,
             "n": (seen == k).sum(),
@@ -232,13 +232,10 @@ def test_rates_by_number_of_vehicles_and_their_figure():
         }
         for k in range(3)
     ]
-    assert (
-        vehicle_rates(runs, {"env.vehicles_count": 10})
-        == vehicle_rates([], {"env.vehicles_count": "[0, 2]"})
-        == []
-    )
+    assert "vehicles" not in rates(runs, {"env.vehicles_count": 10})
+    assert rates([], {"env.vehicles_count": "[0, 2]"}) == {}
     cells = [
-        SimpleNamespace(id="c0", label="sac", task_data={"vehicles": rates}),
+        SimpleNamespace(id="c0", label="sac", task_data={"vehicles": by_vehicles}),
         SimpleNamespace(task_data={}),
     ]
     ((figure, _),) = draw_vehicle_rates(SimpleNamespace(shown_cells=cells))

@@ -13,11 +13,12 @@ from support.simulator_equality import KINDS, actions_of, compare, different_sce
 
 from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.evaluation.agents import load_model
+from parking_exp.tasks.parking.geometry import corners
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import Scenes, start_slot
 from parking_exp.tasks.parking.simulator import Simulator
-from parking_exp.tasks.parking.simulator.collisions import corners, separating_axis
+from parking_exp.tasks.parking.simulator.collisions import separating_axis
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 # Every scalar option of the env group that the physics, the observation or the reward depends on.

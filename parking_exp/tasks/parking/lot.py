@@ -32,6 +32,10 @@ class HighwayLot:
         """Draw scenes of the same distribution, many at once."""
         return Scenes.random(rng, n, self.vehicles_range, self.n_obstacles)
 
+    def typical(self) -> Scenes:
+        """Return one scene, for drawings of the lot."""
+        return self.from_seeds([0])
+
 
 class ParametricLot:
     """Rows of slots along an aisle; see `LotConfig`.
@@ -74,6 +78,10 @@ class ParametricLot:
     def random(self, rng: np.random.Generator, n: int) -> Scenes:
         """Draw scenes of the same distribution, many at once."""
         return self.scenes(rng.random((n, self.n_draws)))
+
+    def typical(self) -> Scenes:
+        """Return one scene, with the middle of all ranges, for drawings of the lot."""
+        return self.scenes(np.full((1, self.n_draws), 0.5))
 
     def scenes(self, draws: np.ndarray) -> Scenes:
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""

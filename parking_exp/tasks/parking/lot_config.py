@@ -56,7 +56,7 @@ class LotConfig(ConfigModel):
     slot_width_m: Drawn
     aisle_width_m: Drawn
     # From slot to slot along the aisle; None: side by side.
-    pitch_m: Metres | None
+    pitch_m: Metres | None = None
     slots_per_row: Annotated[int, Field(ge=1, le=100)]
     rows: Literal[1, 2]
     end_m: Annotated[float, Field(ge=0, le=1000)]  # of the aisle, beyond the rows

@@ -2,8 +2,8 @@
 of parked cars.
 """
 
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,43 +21,67 @@ from parking_exp.figure_style import (
     text_colour,
     wrapped_labels,
 )
-from parking_exp.tasks.parking.geometry import (
-    LOT_LENGTH_M,
-    LOT_WIDTH_M,
-    SLOT_LENGTH_M,
-    SLOT_POSITIONS,
-    SLOT_WIDTH_M,
-)
+from parking_exp.tasks.parking.geometry import corners
+from parking_exp.tasks.parking.lot import HighwayLot, Lot
 
-_CORNERS = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2
-_SLOTS = SLOT_POSITIONS[:, None] + _CORNERS * (SLOT_WIDTH_M, SLOT_LENGTH_M)  # (28, 4, 2)
+_BOX = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2
 
 
-def _lots(n: int, columns: int, head: float) -> tuple[Figure, np.ndarray]:
-    """Return a figure of parking lots, and their axes in metres, shape (n,); `head` [in] is the
-    height of titles.
+class LotOutline(NamedTuple):
+    """What drawings show of a lot, as reports store it."""
 
-    The frame of the axes is the wall.
+    slots: Sequence[Sequence[float]]  # poses, shape (slots, 3) [m, m, rad]
+    slot_size: Sequence[float]  # length and width [m]
+    box: Sequence[float]  # length and width between the walls [m]
+
+    @staticmethod
+    def of(lot: Lot) -> "LotOutline":
+        """Return the outline of a lot, in the middle of its ranges."""
+        scene = lot.typical()
+        return LotOutline(
+            scene.slots[0].tolist(), scene.slot_size[0].tolist(), scene.box[0].tolist()
+        )
+
+    def slot_corners(self) -> np.ndarray:
+        """Return the corners of the slots, shape (slots, 4, 2) [m]."""
+        slots = np.array(self.slots)
+        direction = np.stack([np.cos(slots[:, 2]), np.sin(slots[:, 2])], axis=-1)
+        length, width = np.tile(self.slot_size, (len(slots), 1)).T
+        return corners(slots[:, :2], direction, length, width)
+
+
+HIGHWAY_OUTLINE = LotOutline.of(HighwayLot((0, 0), 0))
+
+
+def _lots(outlines: Sequence[LotOutline], columns: int, head: float) -> tuple[Figure, np.ndarray]:
+    """Return a figure of the lots of some scenes, and their axes in metres, shape (n,); `head` [in]
+    is the height of titles.
+
+    The frame of the axes is the wall of the largest lot.
     """
+    n = len(outlines)
     rows = -(-n // columns)
-    lot_height = (WIDTH_IN - 0.8) / columns * LOT_WIDTH_M / LOT_LENGTH_M
+    length, width = np.max([outline.box for outline in outlines], axis=0)
+    lot_height = (WIDTH_IN - 0.8) / columns * width / length
     figure = new_figure(0.4 + rows * (head + lot_height))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in panels.flat[n:]:
         axes.remove()
     lots = panels.flat[:n]
-    for number, axes in enumerate(lots):
+    for number, (axes, outline) in enumerate(zip(lots, outlines, strict=True)):
         axes.set(
             aspect="equal",
             xticks=(-30, 0, 30),
             yticks=(-20, 0, 20),
-            xlim=(-LOT_LENGTH_M / 2, LOT_LENGTH_M / 2),
-            ylim=(-LOT_WIDTH_M / 2, LOT_WIDTH_M / 2),
+            xlim=(-length / 2, length / 2),
+            ylim=(-width / 2, width / 2),
         )
         axes.spines[:].set(visible=True, linewidth=1.8, alpha=0.55)
         axes.xaxis.set_visible(number + columns >= n)
         axes.yaxis.set_visible(number % columns == 0)
-        _shapes(axes, _SLOTS, facecolors="none", edgecolors=GRID, linewidths=0.4)
+        _shapes(axes, outline.slot_corners(), facecolors="none", edgecolors=GRID, linewidths=0.4)
+        if np.any(np.array(outline.box) < (length, width)):
+            _shapes(axes, [_BOX * outline.box], facecolors="none", edgecolors=GRID, linewidths=1.2)
     figure.supxlabel("x (m)", fontsize="medium")
     figure.supylabel("y (m)", fontsize="medium")
     return figure, lots
@@ -73,11 +97,15 @@ def _shapes(axes: Axes, corners: Iterable[np.ndarray], **style: Any) -> PolyColl
 def draw_scene_map(report: Any) -> Iterator[Drawing]:
     """Draw, for each goal slot, the share of episodes that failed."""
     cells = []
+    outlines = []
     failed = []
     for cell in report.shown_cells:
-        rates = _failures(cell)
+        lot = cell.task_data.get("lot")
+        outline = LotOutline(**lot) if lot else HIGHWAY_OUTLINE
+        rates = _failures(cell, len(outline.slots))
         if np.isfinite(rates).any():
             cells.append(cell)
+            outlines.append(outline)
             failed.append(rates)
     if not failed:
         return
@@ -89,12 +117,12 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
         columns = min(n, 2)
     labels = wrapped_labels(cells, 84 // columns, lines=2)
     n_breaks = max(label.count("\n") for label in labels)
-    figure, lots = _lots(n, columns, head=0.22 + 0.13 * n_breaks)
-    highest = max(10.0, 5 * np.ceil(np.nanmax(failed) / 5))
-    for axes, rates, label in zip(lots, failed, labels, strict=True):
+    figure, lots = _lots(outlines, columns, head=0.22 + 0.13 * n_breaks)
+    highest = max(10.0, 5 * np.ceil(np.nanmax(np.concatenate(failed)) / 5))
+    for axes, outline, rates, label in zip(lots, outlines, failed, labels, strict=True):
         slots = _shapes(
             axes,
-            _SLOTS,
+            outline.slot_corners(),
             array=rates,
             cmap="Purples",
             clim=(0, highest),
@@ -103,7 +131,7 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
         )
         axes.set_title(label)
         if columns < 3:
-            for (x, y), rate in zip(SLOT_POSITIONS, rates, strict=True):
+            for (x, y, _), rate in zip(outline.slots, rates, strict=True):
                 if np.isfinite(rate):
                     colour = text_colour(slots.to_rgba(rate))
                     axes.text(
@@ -119,9 +147,11 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
     )
 
 
-def _failures(cell: Any) -> np.ndarray:
-    """Return the percentage of failed episodes by goal slot, NaN without episodes. Shape (28,)."""
-    rates = np.full(len(SLOT_POSITIONS), np.nan)
+def _failures(cell: Any, n_slots: int) -> np.ndarray:
+    """Return the percentage of failed episodes by goal slot, NaN without episodes. Shape
+    (n_slots,).
+    """
+    rates = np.full(n_slots, np.nan)
     for row in cell.task_data.get("slots", ()):
         rates[row["slot"]] = percentages([row["crash"], row["timeout"]]).sum()
     return rates

@@ -2,78 +2,72 @@
 parked cars.
 """
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from parking_exp.figure_style import SectionFigure
-from parking_exp.tasks.parking.lot_figures import draw_scene_map, draw_vehicle_rates
+from parking_exp.tasks.parking.lot import Lot, ParametricLot
+from parking_exp.tasks.parking.lot_figures import LotOutline, draw_scene_map, draw_vehicle_rates
 from parking_exp.tasks.parking.parking_metrics import METRICS
-from parking_exp.tasks.parking.scenes import Scenes, drawn_number
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+from parking_exp.tasks.parking.stored_lot import stored_lot
 from parking_exp.tasks.task import TaskReport, TaskSection
 
 OUTCOMES = [metric.name for metric in METRICS if metric.is_outcome]
 
 
+@cache
+def _scenes(lot: Lot, seeds: tuple[int, ...]) -> Scenes:
+    return lot.from_seeds(seeds)
+
+
 def outcome_rates(
-    runs: Sequence[pd.DataFrame], key: str, of_scene: Callable[[int], int]
+    episodes: pd.DataFrame, key: str, of_scene: Mapping[int, int]
 ) -> list[dict[str, Any]]:
-    """Return the rates of outcomes over the final episodes (scene, outcome) of several runs, by a
-    number of the scene.
+    """Return the rates of outcomes over final episodes (scene, outcome), by a number of the scene.
 
     Args:
-        runs: a frame of episodes for each run.
+        episodes: of all runs.
         key: the name of that number.
-        of_scene: returns it for a scene.
+        of_scene: the number of each scene.
 
     Returns:
         A row for each number, ascending: the number by its name, `n` episodes, and a rate for each
             outcome.
     """
-    if not runs:
-        return []
-    episodes = pd.concat(runs)
-    numbers = {scene: of_scene(scene) for scene in episodes["scene"].unique().tolist()}
-    counts = pd.crosstab(
-        episodes["scene"].map(numbers).rename(key), episodes["outcome"].astype(object)
-    )
+    numbers = episodes["scene"].map(of_scene).rename(key)
+    counts = pd.crosstab(numbers, episodes["outcome"].astype(object))
     n = counts.sum(axis=1)
     rates = counts.reindex(columns=OUTCOMES, fill_value=0).div(n, axis=0)
     rates.insert(0, "n", n)
     return rates.reset_index().to_dict("records")  # type: ignore[return-value]  # its columns are str
 
 
-def vehicle_rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rates of outcomes by number of parked cars.
-
-    There are none where `env.vehicles_count` of the config, by dotted keys, is not a range.
-    """
-    bounds = re.fullmatch(r"\[(\d+), ?(\d+)\]", str(config.get("env.vehicles_count")))
-    if not bounds:
-        return []
-    low, high = map(int, bounds.groups())
-    return outcome_rates(
-        runs,
-        "vehicles",
-        lambda scene: drawn_number(np.random.PCG64(np.random.SeedSequence(scene)), low, high),
-    )
-
-
-@cache
-def _goal(scene: int) -> int:
-    return int(Scenes.from_seeds([scene]).goal[0])
-
-
 def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the rates of outcomes by goal slot, and by number of parked cars where that varies."""
-    by_vehicles = vehicle_rates(runs, config)
-    by_section = {"slots": outcome_rates(runs, "slot", _goal)}
-    if by_vehicles:
-        by_section["vehicles"] = by_vehicles
+    """Return the rates of outcomes by goal slot, and by number of parked cars where that varies.
+
+    Args:
+        runs: a frame of final episodes (scene, outcome) for each run.
+        config: of the cell, by dotted keys.
+    """
+    if not runs:
+        return {}
+    episodes = pd.concat(runs)
+    lot = stored_lot(config)
+    seeds = tuple(episodes["scene"].unique().tolist())
+    scenes = _scenes(lot, seeds)
+    goals = dict(zip(seeds, scenes.goal.tolist(), strict=True))
+    by_section: dict[str, Any] = {"slots": outcome_rates(episodes, "slot", goals)}
+    if isinstance(lot, ParametricLot):
+        by_section["lot"] = LotOutline.of(lot)._asdict()
+    low, high = lot.vehicles_range
+    if low < high:
+        numbers = (scenes.vehicles != NO_SLOT).sum(axis=1)
+        vehicles = dict(zip(seeds, numbers.tolist(), strict=True))
+        by_section["vehicles"] = outcome_rates(episodes, "vehicles", vehicles)
     return by_section
 
 
@@ -81,8 +75,8 @@ PARKING_REPORT = TaskReport(
     methods=[
         "Success of parking is highway-env's: close to the goal slot, at any speed. Parked is "
         "stricter: all corners "
-        "inside the slot's lines, heading within 10°, slower than 0.5 m/s. Crash and timeout are "
-        "the other ways to end."
+        "inside the slot's lines, heading within 10°, slower than 0.5 m/s. On other lots than "
+        "highway-env's, success is parked. Crash and timeout are the other ways to end."
     ],
     sections=[
         TaskSection(

@@ -23,40 +23,15 @@ from parking_exp.tasks.parking.geometry import (
     WALL_HEADINGS,
     WALL_SIDES,
     WALL_THICKNESS_M,
+    Lengths,
+    corners,
 )
 from parking_exp.tasks.parking.simulator.scene_state import SceneState
 
-# Of the corners of a rectangle, in its length and its width.
-ALONG = np.array([-0.5, -0.5, 0.5, 0.5])
-ACROSS = np.array([-0.5, 0.5, 0.5, -0.5])
 NEXT_CORNER = np.array([1, 2, 3, 0])
 WALL_DIRECTIONS = np.stack([np.cos(WALL_HEADINGS), np.sin(WALL_HEADINGS)], axis=-1)
 OUTWARD = np.array([1, 3, 0, 2])  # of the directions left, below, right, above, those of walls
 WALL_ACROSS = 1 - WALL_ALONG
-
-Lengths = np.ndarray | float
-
-
-def corners(
-    position: np.ndarray, direction: np.ndarray, length: Lengths, width: Lengths
-) -> np.ndarray:
-    """Return the corners of rectangles, in order around them, shape (..., 4, 2) [m].
-
-    Args:
-        position: centres, shape (..., 2).
-        direction: cosine and sine of the headings, shape (..., 2).
-        length: along the heading, one for all or shape (...) [m].
-        width: across it, likewise.
-    """
-    points = np.empty((*np.shape(length), 4, 2))
-    np.multiply.outer(length, ALONG, out=points[..., 0])
-    np.multiply.outer(width, ACROSS, out=points[..., 1])
-    rotation = np.empty((*direction.shape, 2))
-    rotation[..., 0] = direction
-    rotation[..., 1, 1] = direction[..., 0]
-    np.negative(direction[..., 1], out=rotation[..., 0, 1])
-    rotated = (rotation @ points.swapaxes(-1, -2)).swapaxes(-1, -2)
-    return np.add(rotated, position[..., None, :], order="C")
 
 
 def out_of_reach(
