@@ -241,12 +241,7 @@ class RunConfig(OutputConfig):
     @property
     def cell_name(self) -> str:
         """Readable and unique name of the cell, this config without its seed."""
-        return f"{self.options}-{self.cell_key}"
-
-    @property
-    def options(self) -> str:
-        """The options of the three groups that make a cell."""
-        return f"{self.env.name}-{self.algorithm.name}-{self.buffer.name}"
+        return f"{self.env.name}-{self.algorithm.name}-{self.buffer.name}-{self.cell_key}"
 
     @property
     def run_dir(self) -> Path:

@@ -46,7 +46,7 @@ class Agent:
         """Name for tables, the same for all runs of a cell."""
         if self.directory is None:
             return self.name
-        label = self.directory.read_status().get("label", self.config.options)
+        label = read_state(self.directory.path).label
         return f"{self.config.experiment_name}: {label} ({self.config.cell_key})"
 
     def load(self, task: "Task") -> "OffPolicyAlgorithm":

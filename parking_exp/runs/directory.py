@@ -168,15 +168,10 @@ class RunDirectory:
         """Whether the run was finished, and its final evaluation is not over yet."""
         return self.status != "done" and (self.path / RESULT_FILE).exists()
 
-    def create(self, config: RunConfig) -> None:
-        """Make the directory with the resolved config and reserved space."""
-        self.write_config(config, durable=True)
-        self.reserve()
-
-    def write_config(self, config: RunConfig, *, durable: bool) -> None:
+    def write_config(self, config: RunConfig) -> None:
         """Write the resolved config, and make the directory if it does not exist."""
         with self._writable():
-            write_config(self.path, config, durable=durable)
+            write_config(self.path, config)
 
     def reserve(self) -> None:
         """Occupy the space in which the run's end can be written, until that is done."""

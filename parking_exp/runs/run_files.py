@@ -98,14 +98,14 @@ def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], b
     return {key: value for key, value in stored.items() if value is not None}, False
 
 
-def write_config(directory: Path, config: RunConfig, *, durable: bool) -> None:
+def write_config(directory: Path, config: RunConfig) -> None:
     """Write a run's config into its directory, with paths relative to it."""
     uri = config.tracking.uri and relative(config.tracking.uri, config.output_path)
     tracking = config.tracking.model_copy(update={"uri": uri})
     relocatable = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking})
     text = yaml.safe_dump(relocatable.plain(), sort_keys=False)
     directory.mkdir(parents=True, exist_ok=True)
-    write_atomically(directory / CONFIG_FILE, text, durable=durable)
+    write_atomically(directory / CONFIG_FILE, text, durable=False)
 
 
 def read_config(directory: Path, output_dir: Path) -> RunConfig:

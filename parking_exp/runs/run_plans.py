@@ -1,4 +1,4 @@
-"""Planned runs: directories that a sweep or a search writes before any process begins the runs."""
+"""Planned runs: what a command writes of runs before it begins them."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -31,10 +31,9 @@ PLAN_FILES = {
 def write_plan(
     directory: RunDirectory, config: RunConfig, label: str, started: float | None, **entries: Any
 ) -> None:
-    """Write the files of a pending run, or reopen a finished one.
+    """Write the plan of a run, unless it is finished, or another process works on it.
 
     Nothing is written if the run is locked, or if another process has begun it since `started`.
-    There is no fsync: after a power cut, rerunning the sweep writes the files again.
 
     Args:
         directory: of the run.
@@ -49,23 +48,31 @@ def write_plan(
         status = directory.read_status()
         if status.get("started") != started:
             return
-        if status.get("status") == "done":
-            if not directory.needs_evaluation(config):
-                return
-            directory.reopen()
-        tracking_uri = config.store_uri if config.tracking.mlflow else None
-        directory.write_config(config, durable=False)
-        directory.update(
-            durable=False,
-            status="pending",
-            error=None,
-            killed=None,
-            label=label,
-            total_timesteps=config.total_timesteps,
-            command=command_line(),
-            tracking_uri=tracking_uri,
-            **entries,
-        )
+        if status.get("status") != "done" or directory.needs_evaluation(config):
+            make_pending(directory, config, label, **entries)
+
+
+def make_pending(directory: RunDirectory, config: RunConfig, label: str, **entries: Any) -> None:
+    """Write the files of a pending run whose supervisor lock is held, or reopen a finished one.
+
+    There is no fsync: after a power cut, rerunning the command writes the files again. The
+    arguments are those of `write_plan`.
+    """
+    if directory.needs_evaluation(config):
+        directory.reopen()
+    tracking_uri = config.store_uri if config.tracking.mlflow else None
+    directory.write_config(config)
+    directory.update(
+        durable=False,
+        status="pending",
+        error=None,
+        killed=None,
+        label=label,
+        total_timesteps=config.total_timesteps,
+        command=command_line(),
+        tracking_uri=tracking_uri,
+        **entries,
+    )
 
 
 def never_began(directory: RunDirectory) -> bool:

@@ -8,11 +8,12 @@ from typing import Any
 
 from omegaconf import DictConfig
 
+from parking_exp.config.cell_labels import label_cells, settings_of
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.run_provenance import command_line
+from parking_exp.runs.run_plans import make_pending
 from parking_exp.terminal import is_script, say, unfailing_output
 from parking_exp.tracking.store_writer import StoreWriter
 from parking_exp.tracking.sync import follow_store, sync_hint
@@ -68,21 +69,14 @@ def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
 
 
 def _begin(directory: RunDirectory, config: RunConfig) -> None:
-    """Write what a sweep would plan, and that this process trains the run."""
+    """Plan a run as a sweep would, and record that this process begins it."""
     if directory.result() is not None:
         say("already trained; its final model is evaluated again, with other settings")
-        directory.reopen()
-    directory.create(config)
+    (own_label,) = label_cells([settings_of(config.plain())], [config.cell_name])
+    planned_label = directory.read_status().get("label")  # in a sweep
+    make_pending(directory, config, config.label or planned_label or own_label)
+    directory.reserve()
     directory.begin()
-    directory.update(
-        total_timesteps=config.total_timesteps,
-        tracking_uri=config.store_uri if config.tracking.mlflow else None,
-    )
-    command = command_line()
-    if command is not None:
-        directory.update(command=command)
-    if config.label is not None:
-        directory.update(label=config.label)
 
 
 def _closing_lines(result: RunResult, directory: RunDirectory, writer: StoreWriter) -> list[str]:

@@ -27,6 +27,7 @@ from parking_exp.runs.metric_logs import (
     MetricsLog,
     append_episodes,
 )
+from parking_exp.runs.run_state import read_state
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
@@ -99,7 +100,7 @@ class TrainingLoop:
             )
 
         self.metrics = MetricsLog(path / METRICS_FILE)
-        label = directory.read_status().get("label") or config.options
+        label = read_state(path).label
         logger = make_logger(config.tracking, path, self.metrics, label, trackers.log)
         self.model.set_logger(logger)
         self.bar = TrainingProgress(

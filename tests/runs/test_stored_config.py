@@ -11,7 +11,7 @@ from parking_exp.runs.directory import RunDirectory
 def directory(tmp_path):
     config = make_config("experiment=smoke", f"output_dir={tmp_path}")
     directory = RunDirectory(config.run_dir)
-    directory.create(config)
+    directory.write_config(config)
     return directory
 
 

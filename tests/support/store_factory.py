@@ -196,7 +196,7 @@ def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, u
     """Write a run directory."""
     path = directory.path
     lines, tables = _content(config, look)
-    directory.create(config)
+    directory.write_config(config)
     directory.models.mkdir(exist_ok=True)
     write_json(path / "provenance.json", {"started_ms": look.started_ms, "tags": _provenance()})
     (path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))

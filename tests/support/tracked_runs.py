@@ -25,7 +25,7 @@ def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
         update={"output_dir": str(output_dir), "seed": seed, "tracking": tracking}
     )
     directory = RunDirectory(config.run_dir)
-    directory.create(config)
+    directory.write_config(config)
     write_json(
         directory.path / "provenance.json", {"started_ms": started_ms, "tags": provenance_tags()}
     )

@@ -69,8 +69,16 @@ def test_runs_of_workers_equal_a_run_of_train_py(tmp_path, monkeypatch, start_me
     worker_status = RunDirectory(of_worker).read_status()
     assert status["pid"] == os.getpid()
     assert worker_status["pid"] != os.getpid()
-    assert worker_status.keys() - status.keys() == {"label", "cell_number"}
-    for name in ("status", "total_timesteps", "steps", "success_rate", "evaluation", "host"):
+    assert worker_status.keys() - status.keys() == {"cell_number"}
+    for name in (
+        "label",
+        "status",
+        "total_timesteps",
+        "steps",
+        "success_rate",
+        "evaluation",
+        "host",
+    ):
         assert worker_status[name] == status[name]
 
 

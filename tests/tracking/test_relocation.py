@@ -209,7 +209,7 @@ def test_a_training_does_not_write_through_links(tmp_path):
         "experiment=smoke", f"output_dir={tmp_path / 'outputs'}", "tracking.mlflow=false"
     )
     directory, outside = RunDirectory(config.run_dir), tmp_path / "file"
-    directory.create(config)
+    directory.write_config(config)
     outside.write_text("content")
     (directory.path / "metrics.jsonl").symlink_to(outside)
     with pytest.raises(UntrustedError, match="is a symbolic link that leads out of /"):

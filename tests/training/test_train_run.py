@@ -204,7 +204,7 @@ def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     assert monitor["l"].max() == 11  # training_duration of 2 s
     assert pd.read_csv(path / "progress.csv")["eval/success_rate"].notna().sum() == 4
     (board,) = (path / "tensorboard").iterdir()
-    assert board.name == "parking-sac-her_future"
+    assert board.name == "sac, her_future"
     events = EventAccumulator(str(board))
     events.Reload()
     assert [event.step for event in events.Scalars("eval/success_rate")] == STEPS

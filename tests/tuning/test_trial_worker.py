@@ -94,7 +94,7 @@ def test_a_trial_that_is_worse_than_the_median_is_pruned_after_a_seed_and_trial_
 
 def test_the_objective_is_the_normalised_area_under_the_success_curve(tmp_path):
     directory = RunDirectory(tmp_path / "seed=0")
-    directory.create(make_config(f"output_dir={tmp_path}"))
+    directory.write_config(make_config(f"output_dir={tmp_path}"))
     rates = {1000: 0.0, 2000: 0.5, 3000: 0.96, 4000: 0.95}
     lines = [
         {"step": step, "time_ms": 0, "metrics": {"eval/success_rate": rate}}
