@@ -48,11 +48,11 @@ def _train(config: RunConfig) -> RunResult:
             _begin(directory, config)
             with stop_on_signal() as stop:
                 lines = train_run(config, directory, stop, writer.sync_in_training)
-        else:
-            lines = [reason]
-            if follow_store(directory, config):
-                writer.sync(directory)
-        result = directory.result()
+    if reason is not None:
+        lines = [reason]
+        follow_store(directory, config)
+        writer.sync_missing([directory])
+    result = directory.result()
     assert result is not None
     say(*lines, *_closing_lines(result, directory, writer))
     return result

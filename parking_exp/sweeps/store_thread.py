@@ -1,6 +1,7 @@
 """Sync the runs of a sweep while their workers train, which write run directories only."""
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +11,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.store_writer import Moment, StoreWriter, moment_of
 
 POLL_S = 1.0
-PAUSE_S = 60.0  # after a failure of the store: an attempt could take minutes
+PAUSE_S = 60.0  # until a run that could not be synced is tried again: that could take minutes
 
 
 @contextmanager
@@ -43,6 +44,7 @@ def _watch(
     is_over: threading.Event,
 ) -> None:
     """Sync the runs that have a new checkpoint or have ended, until it is over."""
+    paused_until: dict[Path, float] = {}
     while not is_over.wait(POLL_S):
         try:
             paths = find()
@@ -53,12 +55,12 @@ def _watch(
                 return
             directory = RunDirectory(path)
             moment = moment_of(directory)
-            if moment == synced.get(path):
+            if moment == synced.get(path) or time.monotonic() < paused_until.get(path, 0.0):
                 continue
             status, checkpoint = moment
             if checkpoint is not None or status not in ("pending", "running"):
                 writer.sync(directory)
             if path in writer.problems:
-                is_over.wait(PAUSE_S)
+                paused_until[path] = time.monotonic() + PAUSE_S
             else:
                 synced[path] = moment

@@ -1,7 +1,8 @@
 """Make MLflow stores agree with run directories: one run, or all that a store lacks."""
 
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,18 +52,14 @@ def try_sync(directory: RunDirectory, store: Store) -> str | None:
     return None
 
 
-def follow_store(directory: RunDirectory, config: RunConfig) -> bool:
-    """Make a finished run one of the store that a command names; return whether it was tracked
-    elsewhere.
-    """
+def follow_store(directory: RunDirectory, config: RunConfig) -> None:
+    """Make a finished run one of the store that a command names."""
     if not config.tracking.mlflow or directory.status != "done":
-        return False
+        return
     tracked_in = directory.tracking_uri
     is_chosen = config.tracking.uri is not None
-    if tracked_in is not None and (not is_chosen or is_same_store(tracked_in, config.store_uri)):
-        return False
-    directory.update(tracking_uri=config.store_uri)
-    return True
+    if tracked_in is None or (is_chosen and not is_same_store(tracked_in, config.store_uri)):
+        directory.update(tracking_uri=config.store_uri)
 
 
 def sync_missing(
@@ -92,11 +89,23 @@ def sync_missing(
         yield from ((directory, problem) for directory in idle)
         return
     for directory in idle:
+        if not _is_stored(directory, store, synced):
+            yield directory, try_sync(directory, store)
+
+
+def _is_stored(
+    directory: RunDirectory, store: Store, synced: "Mapping[tuple[Path, str | None], Run]"
+) -> bool:
+    """Return whether a store has a run as it is now; of files that can't be read, it has not.
+
+    `synced` are the store's runs by directory and digest.
+    """
+    with suppress(OSError):
         status = status_in_store(directory)
         files = files_in_store(directory, status)
         run = synced.get((resolved(directory.path), digest_in_store(directory, status, files)))
-        if run is None or not store.has_artifacts(run, files):
-            yield directory, try_sync(directory, store)
+        return run is not None and store.has_artifacts(run, files)
+    return False
 
 
 def sync_problem(directories: Iterable[RunDirectory], store: Store) -> str | None:

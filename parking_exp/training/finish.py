@@ -38,7 +38,6 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     loop.record_evaluation(episodes, "final")
     problem = _cross_check(loop, cross_checked, parts[0]) if cross_checked else None
     loop.dump_metrics()
-    loop.model.logger.close()
 
     directory = loop.directory
     save_model(loop.model, directory.models / "final.zip")

@@ -52,7 +52,7 @@ class TrainingLoop:
         trackers: which get each row of metrics.
         checkpoint: from which the run is resumed, if any.
         stop: asks the training to stop.
-        resources: closes the task, its envs and the progress bar.
+        resources: closes the task, its envs, the logs and the progress bar.
     """
 
     def __init__(
@@ -102,6 +102,7 @@ class TrainingLoop:
         self.metrics = MetricsLog(path / METRICS_FILE)
         label = read_state(path).label
         logger = make_logger(config.tracking, path, self.metrics, label, trackers.log)
+        resources.callback(logger.close)
         self.model.set_logger(logger)
         self.bar = TrainingProgress(
             config.total_timesteps,

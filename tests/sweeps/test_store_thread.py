@@ -9,7 +9,6 @@ from parking_exp.tracking.store_writer import StoreWriter
 
 def test_a_run_that_can_not_be_synced_keeps_no_other_run_from_the_store(output_dir, monkeypatch):
     monkeypatch.setattr(store_thread, "POLL_S", 0.01)
-    monkeypatch.setattr(store_thread, "PAUSE_S", 0.01)
     damaged, whole = [finished_run(output_dir, seed) for seed in range(2)]
     (damaged.path / "episodes.csv").write_text("")
     waiting = written_run(output_dir, seed=2)  # without a checkpoint
@@ -19,7 +18,7 @@ def test_a_run_that_can_not_be_synced_keeps_no_other_run_from_the_store(output_d
 
     with store_thread.syncing(lambda: paths, writer):
         paths += [damaged.path, waiting.path, whole.path]
-        wait_until(lambda: whole.run_id is not None)
+        wait_until(lambda: whole.run_id is not None, timeout=store_thread.PAUSE_S / 2)
         assert [*writer.problems] == [damaged.path]
         assert waiting.run_id is None
 

@@ -2,6 +2,7 @@
 or behind.
 """
 
+import errno
 import json
 import shutil
 import sqlite3
@@ -364,3 +365,12 @@ def test_a_run_that_was_sent_under_another_key_is_found_by_its_directory(output_
     sync(directory)
     assert [run.info.run_id for run in store(output_dir).search_runs(["1"])] == [run_id]
     assert stored_run(directory).data.tags["run_key"] == directory.config().run_key
+
+
+def test_a_directory_that_can_not_be_read_keeps_no_other_run_from_the_store(output_dir):
+    unreadable, whole = [finished_run(output_dir, seed) for seed in range(2)]
+    (unreadable.path / "curves.png").symlink_to("x" * 300)
+    name_too_long, none = sync_all(output_dir)
+    assert name_too_long.startswith(f"[Errno {errno.ENAMETOOLONG}]")
+    assert none is None
+    assert stored_status(whole) == ("FINISHED", "done")

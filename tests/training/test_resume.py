@@ -1,9 +1,11 @@
 """A run that was interrupted and resumed equals one that was not: every number, to the last bit."""
 
+import os
 import random
 import signal
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -192,14 +194,21 @@ def test_a_run_that_a_signal_stopped_between_checkpoints(uninterrupted, tmp_path
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(TrainingLoop if in_evaluation else RolloutCallback, original.__name__, ask)
-        with pytest.raises(InterruptedRunError):
+        with pytest.raises(InterruptedRunError) as stopped:
             train(config)
+    assert stopped.tb is not None  # it refers to the logs, which would be closed with it
+    assert only_run(tmp_path).path / "progress.csv" not in open_files()
     step = 60 if in_evaluation else 134
     state = checkpoints.load_state(only_run(tmp_path).checkpoints / f"step={step:010d}")
     assert state["progress"]["evaluated"] < 60 * (step // 60) or not in_evaluation
     assert "train/critic_loss" in state["rollout"]["metrics"]["name_to_value"] or in_evaluation
     train(config)
     assert differences(uninterrupted, only_run(tmp_path).path) == []
+
+
+def open_files():
+    """Return the paths of the files that this process has open."""
+    return [Path(os.path.realpath(file)) for file in Path("/proc/self/fd").iterdir()]
 
 
 def built(*overrides):

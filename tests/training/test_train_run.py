@@ -237,6 +237,16 @@ def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke, tmp_p
     )
 
 
+def test_the_command_of_a_finished_run_makes_a_lost_store_again(smoke, tmp_path):
+    shutil.copytree(smoke[2], tmp_path / "outputs")
+    (tmp_path / "outputs" / "mlflow.db").unlink()
+    shutil.rmtree(tmp_path / "outputs" / "mlflow-artifacts")
+    config = make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
+    result = train(config)
+    assert_store_is_whole(tmp_path / "outputs", config.total_timesteps)
+    assert result.run_id == only_run(tmp_path / "outputs").run_id
+
+
 def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(
     output_dir, monkeypatch
 ):
