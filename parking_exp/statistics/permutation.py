@@ -1,6 +1,5 @@
 """The exact permutation test of the difference of two means."""
 
-import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -9,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 RATE_STEPS = 20_000  # rates are rounded to 0.005 points
-FINEST = 200_000  # steps of differences
+MAX_DIFFERENCE_STEPS = 200_000  # in a difference of 1
 MAX_COUNTS = 20_000_000  # of sums: with more, rates are rounded further, to fit into memory
 
 
@@ -25,17 +24,19 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     """
     from scipy.signal import fftconvolve
 
-    in_steps = []
-    for a, b in strata:
-        in_steps.append((_round(a), _round(b)))
-    sizes = [len(rates) for pair in in_steps for rates in pair]
-    largest_step = np.gcd.reduce([RATE_STEPS, *np.concatenate([*itertools.chain(*in_steps)])])
+    rounded = [(_count_rate_steps(a), _count_rate_steps(b)) for a, b in strata]
+    cells = [*itertools.chain(*rounded)]
+    largest_step = np.gcd.reduce([RATE_STEPS, *np.concatenate(cells)])
     # All differences are multiples of such a step, unless cells have many different sizes.
-    n_steps = min(RATE_STEPS // int(largest_step) * math.lcm(*sizes), FINEST)
-    assigned = [_assign(a, b, n_steps) for a, b in in_steps]
-    observed = sum(difference for difference, _ in assigned)
-    of_strata = [shares_of_one for _, shares_of_one in assigned]
-    shares = functools.reduce(fftconvolve, of_strata)
+    n_steps = RATE_STEPS // int(largest_step) * math.lcm(*map(len, cells))
+    n_steps = min(n_steps, MAX_DIFFERENCE_STEPS)
+
+    observed = 0
+    shares = np.ones(1)
+    for a, b in rounded:
+        observed_in_stratum, shares_in_stratum = _share_differences(a, b, n_steps)
+        observed += observed_in_stratum
+        shares = fftconvolve(shares, shares_in_stratum)
 
     differences = np.arange(len(shares)) - len(shares) // 2
     as_far = np.abs(differences) >= abs(observed)
@@ -43,18 +44,18 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     return min(1.0, max(0.0, p))  # the convolution is not exact to the last digit
 
 
-def _round(rates: ArrayLike) -> np.ndarray:
+def _count_rate_steps(rates: ArrayLike) -> np.ndarray:
     return np.rint(np.asarray(rates) * RATE_STEPS).astype(int)
 
 
-def _assign(a: np.ndarray, b: np.ndarray, n_steps: int) -> tuple[int, np.ndarray]:
+def _share_differences(a: np.ndarray, b: np.ndarray, n_steps: int) -> tuple[int, np.ndarray]:
     """Return the observed difference, and the share of the assignments that have each difference.
 
     `a` and `b` are in 1 / RATE_STEPS, differences in 1 / n_steps. The shares are those of the
     differences -d, ..., 0, ..., d.
     """
     if len(a) > len(b):  # fewer sums are counted for the smaller cell
-        observed, shares = _assign(b, a, n_steps)
+        observed, shares = _share_differences(b, a, n_steps)
         return -observed, shares[::-1]
 
     both = np.concatenate([a, b])
@@ -64,8 +65,8 @@ def _assign(a: np.ndarray, b: np.ndarray, n_steps: int) -> tuple[int, np.ndarray
     seeds = above_lowest // step
     total = seeds.sum()
     sums_of_a = np.arange(total + 1)
-    of_means = sums_of_a / len(a) - (total - sums_of_a) / len(b)
-    differences = np.rint(of_means * step / RATE_STEPS * n_steps).astype(int)
+    differences_of_means = sums_of_a / len(a) - (total - sums_of_a) / len(b)
+    differences = np.rint(differences_of_means * step / RATE_STEPS * n_steps).astype(int)
 
     farthest = np.abs(differences).max()
     shares = np.bincount(
