@@ -28,6 +28,7 @@ PUBLIC_PATHS = (
     "parking_exp.algorithms.TD3",
     "parking_exp.algorithms.action_noise.EpsilonRandomActionNoise",
     "parking_exp.algorithms.crossq.CrossQ",
+    "parking_exp.envs",
     "parking_exp.tasks.parking.features.EgoFrameExtractor",
     "parking_exp.tasks.parking.features.FineEgoFrameExtractor",
     "parking_exp.algorithms.policy_files.load_policy",
