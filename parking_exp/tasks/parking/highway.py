@@ -14,6 +14,7 @@ from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, RandomVehi
 from parking_exp.tasks.parking.obstacles import RandomObstacles
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.pose import Pose, relative_pose
+from parking_exp.tasks.parking.rays import Rays
 from parking_exp.tasks.parking.reward import reward_of
 
 
@@ -48,8 +49,12 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
 def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.Env:
     """Make one parking env; `render_mode` is None or `rgb_array`."""
     env = _make_lot(config, render_mode)
-    count = config.observation.vehicles_count
-    return NearbyVehicles(env, count) if count else env
+    observation = config.observation
+    if observation.vehicles_count:
+        env = NearbyVehicles(env, observation.vehicles_count)
+    if observation.rays:
+        env = Rays(env, observation.rays, observation.rays_range_m)
+    return env
 
 
 def _make_lot(config: ParkingConfig, render_mode: str | None) -> gym.Env:

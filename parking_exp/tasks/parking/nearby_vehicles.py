@@ -52,7 +52,45 @@ def observation_size(vehicles_count: int) -> int:
     return len(DEFAULT_FEATURES) + vehicles_count * len(ENTRIES)
 
 
-class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
+class SeenByCar(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
+    """Base of wrappers that append what the car sees to `observation` of parking-v0.
+
+    Args:
+        env: highway-env's parking-v0 with the observation type KinematicsGoal.
+        size: number of entries that are appended.
+    """
+
+    def __init__(self, env: gym.Env, size: int) -> None:
+        gym.ObservationWrapper.__init__(self, env)
+        assert isinstance(env.observation_space, spaces.Dict)
+        size += spaces.flatdim(env.observation_space["observation"])
+        box = spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self.observation_space = spaces.Dict(env.observation_space.spaces | {"observation": box})
+
+    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return the observation with what the car sees."""
+        entries = np.concatenate([observation["observation"], self.seen()])
+        return observation | {"observation": entries}
+
+    def seen(self) -> np.ndarray:
+        """Return the entries that are appended, shape (size,)."""
+        raise NotImplementedError
+
+    def others(self, *, walls: bool) -> list[Any]:
+        """Return the vehicles but for the car, and the obstacles, walls among them or not."""
+        from highway_env.vehicle.objects import Obstacle
+
+        car = self.unwrapped.vehicle
+        road = self.unwrapped.road
+        others = [vehicle for vehicle in road.vehicles if vehicle is not car]
+        for item in road.objects:
+            # Walls are obstacles with a length of their own.
+            if isinstance(item, Obstacle) and (walls or item.LENGTH == Obstacle.LENGTH):
+                others.append(item)
+        return others
+
+
+class NearbyVehicles(SeenByCar):
     """Append the nearest other vehicles and obstacles to `observation` of parking-v0; goals stay as
     they are.
 
@@ -67,28 +105,16 @@ class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
 
     def __init__(self, env: gym.Env, vehicles_count: int) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, vehicles_count=vehicles_count)
-        gym.ObservationWrapper.__init__(self, env)
-        assert isinstance(env.observation_space, spaces.Dict)
+        super().__init__(env, vehicles_count * len(ENTRIES))
         self.vehicles_count = vehicles_count
-        size = spaces.flatdim(env.observation_space["observation"]) + vehicles_count * len(ENTRIES)
-        seen = spaces.Box(-np.inf, np.inf, (size,), np.float64)
-        self.observation_space = spaces.Dict(env.observation_space.spaces | {"observation": seen})
 
-    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return the observation with the nearest vehicles."""
-        from highway_env.vehicle.objects import Obstacle
-
+    def seen(self) -> np.ndarray:
+        """Return the nearest vehicles."""
         car = self.unwrapped.vehicle
-        road = self.unwrapped.road
-        others = [vehicle for vehicle in road.vehicles if vehicle is not car]
-        for item in road.objects:
-            # Walls are obstacles with a length of their own.
-            if isinstance(item, Obstacle) and item.LENGTH == Obstacle.LENGTH:
-                others.append(item)
+        others = self.others(walls=False)
         positions = np.array([vehicle.position for vehicle in others]).reshape(1, -1, 2)
         headings = np.array([[vehicle.heading for vehicle in others]])
-        seen = nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]
-        return observation | {"observation": np.concatenate([observation["observation"], seen])}
+        return nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]
 
 
 class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):

@@ -1,6 +1,7 @@
 """The `env` group of parking-v0: highway-env's options under their own names, and some of ours."""
 
 from collections.abc import Iterator, Mapping
+from operator import not_
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PositiveFloat
@@ -25,6 +26,8 @@ OUR_KEYS = {
     "level",
     "levels",
 }
+OUR_OBSERVATION_KEYS = {"vehicles_count", "rays", "rays_range_m"}
+RAYS_RANGE_M = 10.0  # of the config and of the wrapper, unless another is given
 MAX_VEHICLES = 26  # slots but for those of start and goal
 
 
@@ -43,7 +46,7 @@ def _check_vehicles_count(value: Any) -> Any:
 
 
 class ObservationConfig(ConfigModel):
-    """highway-env's `observation` options, and how many other vehicles are seen."""
+    """highway-env's `observation` options, and what is seen beside the car."""
 
     # stored, so that highway-env accepts the `env` section of most configs.
     type: Literal["KinematicsGoal"]
@@ -51,6 +54,9 @@ class ObservationConfig(ConfigModel):
     scales: list[PositiveFloat]
     normalize: bool
     vehicles_count: Annotated[int, Field(ge=0, le=100)] = 0
+    # Left out of stored configs and of the names of evaluations where they are the defaults.
+    rays: Annotated[int, Field(ge=0, le=360, exclude_if=not_)] = 0
+    rays_range_m: Annotated[PositiveFloat, Field(exclude_if=RAYS_RANGE_M.__eq__)] = RAYS_RANGE_M
 
 
 class ActionConfig(ConfigModel):
@@ -78,6 +84,8 @@ class ParkingConfig(TaskConfig):
         "training_duration",
         "training_success_goal_reward",
         "observation.vehicles_count",
+        "observation.rays",
+        "observation.rays_range_m",
     )
 
     task: Literal["parking"]
@@ -132,7 +140,7 @@ class ParkingConfig(TaskConfig):
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(ENV_ID, config=...)`."""
         options = self.model_dump(exclude=OUR_KEYS)
-        options["observation"] = self.observation.model_dump(exclude={"vehicles_count"})
+        options["observation"] = self.observation.model_dump(exclude=OUR_OBSERVATION_KEYS)
         options["action"] = self.action.model_dump(exclude_none=True)
         options["vehicles_count"] = self.vehicles_range[1]
         return options

@@ -21,7 +21,7 @@ class ParkingVecEnv(BatchVecEnv):
         self.lot = lot_of(config)
         simulator = Simulator(config, self.draw(np.random.default_rng(), n_envs))
         goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
-        size = observation_size(config.observation.vehicles_count)
+        size = observation_size(config.observation.vehicles_count) + config.observation.rays
         seen = spaces.Box(-np.inf, np.inf, (size,), np.float64)
         observation_space = spaces.Dict(
             {"observation": seen, "achieved_goal": goal, "desired_goal": goal}

@@ -13,14 +13,19 @@ import numpy as np
 from parking_exp.tasks.parking.geometry import (
     CAR_DIAGONAL_M,
     CAR_LENGTH_M,
+    CAR_WIDTH_M,
+    OBSTACLE_M,
+    WALL_HEADINGS,
+    WALL_THICKNESS_M,
 )
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES, ParkingConfig
 from parking_exp.tasks.parking.pose import Pose, relative_pose
+from parking_exp.tasks.parking.rays import ray_distances, rectangles_of
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import Scenes
-from parking_exp.tasks.parking.simulator.collisions import Collisions, extent
+from parking_exp.tasks.parking.simulator.collisions import Collisions, extent, walls_of
 from parking_exp.tasks.parking.simulator.dynamics import (
     Range,
     advance,
@@ -56,6 +61,8 @@ class Simulator:
         self.walls = config.add_walls
         self.reward = reward_of(config)
         self.n_seen = config.observation.vehicles_count
+        self.rays = config.observation.rays
+        self.rays_range_m = config.observation.rays_range_m
         self.scales = np.array(DEFAULT_SCALES, np.float64)
         self._row_m = lot_of(config).row_m
         self._collisions = Collisions(
@@ -85,12 +92,14 @@ class Simulator:
         """Return the observation of all scenes, or of some."""
         pose = self._pose(rows)
         scaled = np.divide(pose, self.scales, order="C")
-        observed = scaled
+        seen = [scaled]
         if self.n_seen:
-            observed = np.concatenate([scaled, self._observe_vehicles(pose, rows)], axis=1)
+            seen.append(self._observe_vehicles(pose, rows))
+        if self.rays:
+            seen.append(self._observe_rays(pose, rows))
         return {
-            "observation": observed,
-            "achieved_goal": scaled.copy(),
+            "observation": np.concatenate(seen, axis=1),
+            "achieved_goal": scaled,
             "desired_goal": self._goals(rows),
         }
 
@@ -102,6 +111,26 @@ class Simulator:
         headings = [state.vehicle_heading[rows], np.zeros(obstacles.shape[:2])]
         heading = np.concatenate(headings, axis=1)
         return nearest_vehicles(pose[:, :2], others, heading, self.n_seen)
+
+    def _observe_rays(self, pose: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
+        """Return the distances that the cars see along rays, as shares of the range."""
+        state = self.state
+        obstacles = state.obstacles[rows]
+        parts = [
+            rectangles_of(
+                state.vehicles[rows], state.vehicle_heading[rows], CAR_LENGTH_M, CAR_WIDTH_M
+            ),
+            rectangles_of(obstacles, np.zeros(obstacles.shape[:2]), OBSTACLE_M, OBSTACLE_M),
+        ]
+        if self.walls:
+            places, lengths = walls_of(state.free[:, rows])
+            headings = np.tile(WALL_HEADINGS, (len(pose), 1))
+            parts.append(rectangles_of(places, headings, lengths, WALL_THICKNESS_M))
+        rectangles = np.concatenate(parts, axis=-1)
+        position = pose.T[:2]
+        direction = pose.T[4:]
+        distances = ray_distances(position, direction, rectangles, self.rays, self.rays_range_m)
+        return distances / self.rays_range_m
 
     def step(self, actions: np.ndarray) -> Step:
         """Drive all scenes for one policy step; actions have the shape (n, 2): acceleration, then

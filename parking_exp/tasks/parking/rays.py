@@ -1,0 +1,122 @@
+"""Observation of distances along rays, as a lidar measures them, and the Gymnasium wrapper that
+adds it.
+
+What rays can meet are rectangles: arrays of shape (6, n, R) for R rectangles in each of n scenes,
+with x and y of their centres [m], cosine and sine of their headings, half their lengths and half
+their widths [m].
+"""
+
+import gymnasium as gym
+import numpy as np
+
+from parking_exp.tasks.parking.nearby_vehicles import SeenByCar
+from parking_exp.tasks.parking.parking_config import RAYS_RANGE_M
+
+_TINY = 1e-300  # in place of 0, which can't be divided by
+
+
+def rectangles_of(
+    centre: np.ndarray, heading: np.ndarray, length: np.ndarray | float, width: np.ndarray | float
+) -> np.ndarray:
+    """Return rectangles, shape (6, n, R).
+
+    Args:
+        centre: shape (n, R, 2) [m].
+        heading: shape (n, R) [rad].
+        length: along the heading, one for all, or of a shape that broadcasts to (n, R) [m].
+        width: across it, likewise.
+    """
+    rectangles = np.empty((6, *heading.shape))
+    rectangles[0] = centre[..., 0]
+    rectangles[1] = centre[..., 1]
+    np.cos(heading, out=rectangles[2])
+    np.sin(heading, out=rectangles[3])
+    rectangles[4] = length
+    rectangles[5] = width
+    rectangles[4:] /= 2
+    return rectangles
+
+
+def ray_distances(
+    position: np.ndarray, direction: np.ndarray, rectangles: np.ndarray, rays: int, range_m: float
+) -> np.ndarray:
+    """Return the distances from cars' centres to the nearest rectangle along each ray, shape
+    (n, rays) [m].
+
+    Ray k has the angle k * 2 pi / rays to the car's heading, counter-clockwise: the first looks
+    straight ahead. A distance is `range_m` where nothing is nearer, and 0 within a rectangle.
+
+    Args:
+        position: centres of the cars, shape (2, n) [m].
+        direction: cosine and sine of their headings, shape (2, n).
+        rectangles: all that is in the scenes but for the cars, shape (6, n, R).
+        rays: their number.
+        range_m: the largest distance that is seen [m].
+    """
+    axis = rectangles[2:4]
+    half_size = rectangles[4:]
+    offset = _turn_back(position[..., None] - rectangles[:2], axis)
+    outside = np.maximum(np.abs(offset) - half_size, 0.0)
+    near = (outside**2).sum(axis=0) < range_m**2
+    scene, _ = np.nonzero(near)
+
+    # In the frame of each rectangle that is near, a ray is for a while between the long sides, and
+    # for a while between the short sides. It meets the rectangle when both hold.
+    angle = np.arange(rays) * (2 * np.pi / rays)
+    heading = _turn_back(direction[:, scene], axis[:, near])
+    slope = _turn_back(heading[..., None], np.array([np.cos(angle), -np.sin(angle)])[:, None])
+    slope[slope == 0] = _TINY
+    metres = np.divide(1.0, slope, out=slope)  # along the ray, for one along or across
+    middle = metres * -offset[:, near, None]
+    half = np.abs(metres, out=metres)
+    half *= half_size[:, near, None]
+    enters = np.maximum.reduce(middle - half).clip(0.0, range_m)
+    leaves = np.minimum.reduce(middle + half)
+    enters[enters > leaves] = range_m
+
+    distances = np.full((position.shape[1], rays), range_m)
+    seeing, first = np.unique(scene, return_index=True)  # pairs are in the order of scenes
+    distances[seeing] = np.minimum.reduceat(enters, first, axis=0)
+    return distances
+
+
+def _turn_back(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Return vectors in frames with the given directions of their first axis, all of shape
+    (2, ...).
+    """
+    x, y = vector
+    cos, sin = axis
+    return np.stack([x * cos + y * sin, y * cos - x * sin])
+
+
+class Rays(SeenByCar):
+    """Append distances along rays to `observation` of parking-v0; goals stay as they are.
+
+    They are the distances from the car's centre to the nearest vehicle, wall or obstacle, as
+    fractions of the range: 1 where there is none; see `ray_distances`.
+
+    Args:
+        env: highway-env's parking-v0 with the observation type KinematicsGoal, for example
+            `gym.make("parking-v0", config={"vehicles_count": 10})`, or `NearbyVehicles` around it.
+        rays: their number, in equal angles all around the car, the first straight ahead.
+        range_m: the largest distance that is seen [m].
+    """
+
+    def __init__(self, env: gym.Env, rays: int, range_m: float = RAYS_RANGE_M) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, rays=rays, range_m=range_m)
+        super().__init__(env, rays)
+        self.rays = rays
+        self.range_m = range_m
+
+    def seen(self) -> np.ndarray:
+        """Return the distances along rays."""
+        car = self.unwrapped.vehicle
+        rectangles = [
+            (*item.position, *item.direction, item.LENGTH / 2, item.WIDTH / 2)
+            for item in self.others(walls=True)
+        ]
+        scene = np.reshape(rectangles, (-1, 1, 6)).T
+        distances = ray_distances(
+            car.position[:, None], car.direction[:, None], scene, self.rays, self.range_m
+        )
+        return distances[0] / self.range_m
