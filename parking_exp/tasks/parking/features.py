@@ -1,6 +1,7 @@
 """Features that the policy computes from the goal observation."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from gymnasium import spaces
@@ -25,32 +26,50 @@ class EgoFrameExtractor(TaskFeatures):
     from `observation` and `desired_goal`, so goals that HER relabels pass through them like any
     other.
 
-    Other vehicles that the observation shows come last, each in the car's frame, too.
+    Other vehicles and rays that the observation shows come last, in the car's frame, too.
 
-    Output, shape (batch, 10 + 5 K) for K other vehicles: goal ahead and to the side (10 m), cos and
-    sin of the goal's heading relative to the car's, signed speed (observation units), distance to
-    the goal (10 m), x and y in the lot (half its length and width), cos and sin of the heading; of
-    each vehicle presence, ahead and to the side (10 m), cos and sin of its heading relative to the
-    car's.
+    Output, shape (batch, 10 + 5 K + N) for K other vehicles and N rays: goal ahead and to the side
+    (10 m), cos and sin of the goal's heading relative to the car's, signed speed (observation
+    units), distance to the goal (10 m), x and y in the lot (half its length and width), cos and sin
+    of the heading; of each vehicle presence, ahead and to the side (10 m), cos and sin of its
+    heading relative to the car's; of each ray the nearness, 1 minus the observed fraction. Where
+    nothing is seen it is 0, like the features of absent vehicles.
+
+    Args:
+        observation_space: of the env.
+        features_dim: number of features of car and goal.
+        lot_size_m: length and width of the lot, the scales of x and y.
+        rays: number of rays in the observation.
     """
 
     of_each_vehicle = 5  # features
 
-    def __init__(self, observation_space: spaces.Dict, features_dim: int = 10) -> None:
-        size = spaces.flatdim(observation_space["observation"]) - len(DEFAULT_FEATURES)
-        self.vehicles_count = size // len(ENTRIES)
-        super().__init__(
-            observation_space, features_dim + self.vehicles_count * self.of_each_vehicle
-        )
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        features_dim: int = 10,
+        lot_size_m: Sequence[float] = (LOT_LENGTH_M, LOT_WIDTH_M),
+        rays: int = 0,
+    ) -> None:
+        size = spaces.flatdim(observation_space["observation"])
+        self.first_ray_entry = size - rays
+        self.vehicles_count = (self.first_ray_entry - len(DEFAULT_FEATURES)) // len(ENTRIES)
+        n_of_vehicles = self.vehicles_count * self.of_each_vehicle
+        super().__init__(observation_space, features_dim + n_of_vehicles + rays)
+        self.lot_size_m = lot_size_m
+        self.rays = rays
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and
-        goals of 6.
+        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K + N)
+        and goals of 6.
         """
-        features = self.of_car(observations)
-        if not self.vehicles_count:
-            return features
-        return torch.cat((features, self.of_vehicles(observations, features).flatten(1)), dim=-1)
+        of_car = self.of_car(observations)
+        parts = [of_car]
+        if self.vehicles_count:
+            parts.append(self.of_vehicles(observations, of_car).flatten(1))
+        if self.rays:
+            parts.append(1 - observations["observation"][:, self.first_ray_entry :])
+        return torch.cat(parts, dim=-1)
 
     def of_vehicles(
         self, observations: dict[str, torch.Tensor], of_car: torch.Tensor
@@ -59,9 +78,8 @@ class EgoFrameExtractor(TaskFeatures):
         there is none.
         """
         observation = observations["observation"]
-        seen = observation[:, len(DEFAULT_FEATURES) :].unflatten(
-            -1, (self.vehicles_count, len(ENTRIES))
-        )
+        entries = observation[:, len(DEFAULT_FEATURES) : self.first_ray_entry]
+        seen = entries.unflatten(-1, (self.vehicles_count, len(ENTRIES)))
         cos_h = observation[:, 4:5]
         sin_h = observation[:, 5:6]
         presence, x, y, cos, sin = seen.unbind(-1)
@@ -85,6 +103,7 @@ class EgoFrameExtractor(TaskFeatures):
         goal_x, goal_y, _, _, goal_cos, goal_sin = observations["desired_goal"].unbind(-1)
         dx = (goal_x - x) * X_SCALE
         dy = (goal_y - y) * Y_SCALE
+        length, width = self.lot_size_m
         return torch.stack(
             (
                 (cos_h * dx + sin_h * dy) / GOAL_SCALE_M,
@@ -93,8 +112,8 @@ class EgoFrameExtractor(TaskFeatures):
                 goal_sin * cos_h - goal_cos * sin_h,
                 vx * cos_h + vy * sin_h,
                 torch.sqrt(dx * dx + dy * dy) / GOAL_SCALE_M,
-                x * (2 * X_SCALE / LOT_LENGTH_M),
-                y * (2 * Y_SCALE / LOT_WIDTH_M),
+                x * (2 * X_SCALE / length),
+                y * (2 * Y_SCALE / width),
                 cos_h,
                 sin_h,
             ),
@@ -106,30 +125,45 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     """Ego-frame features, the car in the goal's frame, both also at the scale of a slot, in a lot
     turned to the goal.
 
-    The lot is symmetric under a turn by 180 degrees, so pose and heading are turned where the
+    Most lots are symmetric under a turn by 180 degrees, so pose and heading are turned where the
     goal's y is negative, which halves the state space and changes no action. Positions and reward
     also come at the scale of a slot, since the reward has a cusp at the goal. The goal's frame
     shows whether the car is in line with the slot, and which of the neighbouring slots are taken.
 
-    Output, shape (batch, 19 + 9 K), or (batch, 20 + 9 K) if `reward_weights` weigh velocity: the
-    features of `EgoFrameExtractor` but for the vehicles; the car's position along and across the
+    Output, shape (batch, 19 + 9 K + N), one more if `reward_weights` weigh velocity: the features
+    of `EgoFrameExtractor` but for vehicles and rays; the car's position along and across the
     goal's heading, seen from the goal (10 m), and its velocity in these directions (observation
     units); the goal ahead and to the side, and the car along and across, as tanh of their distance
     / 2 m; the root of the weighted distance, which is minus the dense reward; the goal's signed
     speed (observation units); of each vehicle those of `EgoFrameExtractor`, ahead and to the side
     as tanh of the distance / 4 m, and along and across the goal's heading, seen from the goal, as
-    tanh of the distance / 4 m.
+    tanh of the distance / 4 m; the rays.
+
+    Args:
+        observation_space: of the env.
+        reward_weights: of the env.
+        features_dim: number of features of car and goal, without that of a goal's speed.
+        turned: whether the lot equals itself when it is turned by 180 degrees.
+        lot: `lot_size_m` and `rays` of `EgoFrameExtractor`.
     """
 
     of_each_vehicle = 9
 
-    def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        reward_weights: Sequence[float],
+        features_dim: int = 19,
+        turned: bool = True,
+        **lot: Any,
+    ) -> None:
         weights = [float(weight) for weight in reward_weights]
         # Virtual goals may move, real ones never do: networks see the difference only if the reward
         # depends on it.
         moving_goals = any(weights[2:4])
-        super().__init__(observation_space, 19 + moving_goals)
+        super().__init__(observation_space, features_dim + moving_goals, **lot)
         self.reward_weights = weights
+        self.turned = turned
         self.moving_goals = moving_goals
 
     def of_vehicles(
@@ -152,14 +186,16 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         features = super().of_car(observations)
         car = observations["observation"][:, : len(DEFAULT_FEATURES)]
         goal = observations["desired_goal"]
-        side = torch.where(goal[:, 1:2] < 0, -1.0, 1.0).to(features)
+        pose = features[:, 6:]
+        if self.turned:
+            pose = pose * torch.where(goal[:, 1:2] < 0, -1.0, 1.0).to(features)
         ahead, left, cos, sin, speed = features[:, :5].split(1, dim=-1)
         from_goal = torch.cat((-cos * ahead - sin * left, sin * ahead - cos * left), dim=-1)
         near = torch.cat((features[:, :2], from_goal), dim=-1) * (GOAL_SCALE_M / NEAR_M)
         weights = features.new_tensor(self.reward_weights)[:, None]
         parts = [
             features[:, :6],
-            features[:, 6:] * side,
+            pose,
             from_goal,
             speed * cos,
             -speed * sin,
@@ -174,35 +210,63 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
 class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     """Fine ego-frame features, mirrored so that the goal is never to the right of the car.
 
-    A mirrored lot is the same but for the sign of the steering. Networks then learn one of two
-    mirror images; the policies in `mirrored_policies` turn the steering around with them.
+    Most lots that are mirrored, x to -x, are the same but for the sign of the steering. Networks
+    then learn one of two mirror images; the policies in `mirrored_policies` turn the steering
+    around with them. In a `handed` lot, networks also see which of the two it is.
 
     Output: that of `FineEgoFrameExtractor`; if the goal is to the right, all lateral features have
-    the other sign.
+    the other sign, and rays the opposite order. In a handed lot, a last feature is 1, or -1 if the
+    goal is to the right.
+
+    Args:
+        observation_space: of the env.
+        reward_weights: of the env.
+        handed: whether the lot is not its own mirror image.
+        lot: further arguments of `FineEgoFrameExtractor`.
     """
 
     ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
     ACROSS_OF_VEHICLE = (2, 4, 6, 8)  # of each vehicle
 
     mirror_signs: torch.Tensor
+    mirror_order: torch.Tensor
 
-    def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
-        super().__init__(observation_space, reward_weights)
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        reward_weights: Sequence[float],
+        handed: bool = False,
+        **lot: Any,
+    ) -> None:
+        super().__init__(observation_space, reward_weights, 19 + handed, **lot)
+        self.handed = handed
         across = list(self.ACROSS)
-        n_of_vehicles = self.vehicles_count * self.of_each_vehicle
-        first_vehicle = self.features_dim - n_of_vehicles
-        for first in range(first_vehicle, self.features_dim, self.of_each_vehicle):
+        size = self.features_dim - handed
+        first_ray = size - self.rays
+        first_vehicle = first_ray - self.vehicles_count * self.of_each_vehicle
+        for first in range(first_vehicle, first_ray, self.of_each_vehicle):
             across += [first + lateral for lateral in self.ACROSS_OF_VEHICLE]
-        signs = torch.ones(self.features_dim)
+        signs = torch.ones(size)
         signs[across] = -1.0
         self.register_buffer("mirror_signs", signs, persistent=False)
+        order = torch.arange(size)
+        # The first ray looks ahead, also in the mirror. The second one becomes the last one.
+        order[first_ray + 1 :] = order[first_ray + 1 :].flip(0)
+        self.register_buffer("mirror_order", order, persistent=False)
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and
-        goals of 6.
+        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K + N)
+        and goals of 6.
         """
         features = super().forward(observations)
-        return torch.where(self.sign(observations) < 0, features * self.mirror_signs, features)
+        mirrored = features * self.mirror_signs
+        if self.rays:
+            mirrored = mirrored[:, self.mirror_order]
+        sign = self.sign(observations)
+        seen = torch.where(sign < 0, mirrored, features)
+        if self.handed:
+            return torch.cat((seen, sign.to(seen)), dim=-1)
+        return seen
 
     def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return -1 where the scene is mirrored, else 1; shape (batch, 1)."""

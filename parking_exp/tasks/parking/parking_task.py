@@ -90,9 +90,12 @@ class ParkingTask(Task):
             MirroredEgoFrameExtractor,
         )
 
-        weights = {"reward_weights": list(self.config.reward_weights)}
+        lot: dict[str, Any] = {}
+        if self.config.observation.rays:
+            lot["rays"] = self.config.observation.rays
+        weights = {"reward_weights": list(self.config.reward_weights), **lot}
         extractors: dict[str, tuple[type, dict[str, Any]]] = {
-            "ego": (EgoFrameExtractor, {}),
+            "ego": (EgoFrameExtractor, lot),
             "ego_fine": (FineEgoFrameExtractor, weights),
             "ego_mirrored": (MirroredEgoFrameExtractor, weights),
         }
