@@ -74,7 +74,7 @@ def ray_distances(
     leaves = np.minimum.reduce(middle + half)
     enters[enters > leaves] = range_m
 
-    distances = np.full((position.shape[1], rays), range_m)
+    distances = np.full((position.shape[1], rays), range_m, np.float64)
     seeing, first = np.unique(scene, return_index=True)  # pairs are in the order of scenes
     distances[seeing] = np.minimum.reduceat(enters, first, axis=0)
     return distances

@@ -1,0 +1,178 @@
+"""Distances along rays: exactly, by Shapely's geometry, in the simulator and on highway-env."""
+
+import gymnasium as gym
+import highway_env
+import numpy as np
+import pytest
+import shapely
+from gymnasium.utils.env_checker import check_env
+from highway_env.vehicle.objects import Obstacle
+from support.marks import slow_but
+from support.runs import make_config
+from support.simulator_equality import actions_of, compare
+
+from parking_exp.errors import ConfigError
+from parking_exp.tasks.parking.parking_task import ParkingTask
+from parking_exp.tasks.parking.rays import Rays, ray_distances, rectangles_of
+from parking_exp.tasks.registry import TRAINING_ONLY
+
+UP = np.pi / 2
+
+
+def distances(rectangles, heading=0.0, rays=4, range_m=10.0):
+    """Distances from a car at the origin to rectangles (x, y, heading, length, width)."""
+    x, y, angle, length, width = np.reshape(rectangles, (1, -1, 5)).transpose(2, 0, 1)
+    scene = rectangles_of(np.stack([x, y], axis=-1), angle, length, width)
+    direction = np.array([[np.cos(heading)], [np.sin(heading)]])
+    return ray_distances(np.zeros((2, 1)), direction, scene, rays, range_m)[0]
+
+
+@pytest.mark.parametrize(
+    ("rectangles", "heading", "expected"),
+    [
+        ([], 0, [10, 10, 10, 10]),
+        ([(5, 0, 0, 2, 2)], 0, [4, 10, 10, 10]),
+        ([(5, 0, 0, 2, 2)], UP, [10, 10, 10, 4]),  # to the right of a car that looks up
+        ([(0, 6, 0, 5, 2)], 0, [10, 5, 10, 10]),
+        ([(0, 6, UP, 5, 2)], 0, [10, 3.5, 10, 10]),
+        ([(-6, 0, UP / 2, 2, 2)], 0, [10, 10, 6 - np.sqrt(2), 10]),  # stands on a corner
+        ([(8, 0, 0, 2, 2), (5, 0, 0, 2, 2)], 0, [4, 10, 10, 10]),  # the nearer one
+        ([(5, 1.5, 0, 2, 2)], 0, [10, 10, 10, 10]),  # half a metre beside a ray along its side
+        ([(11.5, 0, 0, 2, 2)], 0, [10, 10, 10, 10]),  # beyond the range
+        ([(10.5, 0, 0, 2, 2)], 0, [9.5, 10, 10, 10]),
+        ([(0.5, 0, 0, 2, 2)], 0, [0, 0, 0, 0]),  # the centre is within
+        ([(0, -3, 0, 40, 1)], 0, [10, 10, 10, 2.5]),  # a wall, whose centre does not matter
+        ([(19, -3, 0, 40, 1)], 0, [10, 10, 10, 2.5]),
+    ],
+)
+def test_distances_along_four_rays(rectangles, heading, expected):
+    np.testing.assert_allclose(distances(rectangles, heading), expected, rtol=0, atol=1e-12)
+
+
+def test_rays_are_in_equal_angles_counter_clockwise_from_straight_ahead():
+    wall = [(0, 3, 0, 1000, 2)]  # two metres to the left
+    expected = [10, 2 / np.sin(np.pi / 3), 2 / np.sin(np.pi / 3), 10, 10, 10]
+    np.testing.assert_allclose(distances(wall, rays=6), expected, rtol=0, atol=1e-12)
+
+
+def measured(position, heading, polygons, rays, range_m):
+    """Distances along rays by Shapely's geometry."""
+    angles = heading + np.arange(rays) * 2 * np.pi / rays
+    ends = position + range_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    lines = shapely.linestrings([[position, end] for end in ends])
+    lengths = shapely.distance(
+        shapely.Point(position), shapely.intersection(lines, shapely.union_all(polygons))
+    )
+    return np.where(np.isnan(lengths), range_m, lengths)
+
+
+def test_distances_are_those_of_shapelys_geometry():
+    rng = np.random.default_rng(0)
+    n = 300
+    position = rng.uniform(-15, 15, (n, 2))
+    heading = rng.uniform(-10, 10, n)
+    centres = rng.uniform(-15, 15, (n, 6, 2))
+    headings = rng.uniform(-10, 10, (n, 6))
+    lengths = rng.uniform(0.5, 20, (n, 6))
+    widths = rng.uniform(0.5, 4, (n, 6))
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    scenes = rectangles_of(centres, headings, lengths, widths)
+    seen = ray_distances(position.T, direction, scenes, 16, 8.0)
+    assert 0.3 < (seen == 8).mean() < 0.6
+    assert (seen == 0).any()
+    for row in range(n):
+        polygons = []
+        for number in range(6):
+            length = lengths[row, number] / 2
+            width = widths[row, number] / 2
+            box = shapely.box(-length, -width, length, width)
+            turned = shapely.affinity.rotate(
+                box, headings[row, number], origin=(0, 0), use_radians=True
+            )
+            polygons.append(shapely.affinity.translate(turned, *centres[row, number]))
+        expected = measured(position[row], heading[row], polygons, 16, 8.0)
+        np.testing.assert_allclose(seen[row], expected, rtol=0, atol=1e-9)
+
+
+LOTS = [
+    ("env.vehicles_count=[0,20]", "env.obstacles=8", "env.observation.rays=16"),
+    ("env.vehicles_count=20", "env.observation.rays=32", "env.observation.rays_range_m=40"),
+    ("env.vehicles_count=5", "env.observation.rays=1", "env.observation.vehicles_count=4"),
+    ("env.obstacles=20", "env.observation.rays=7", "env.add_walls=false"),
+]
+
+
+@pytest.mark.parametrize("overrides", slow_but(LOTS[:1], LOTS))
+def test_simulator_and_highway_env_show_the_same_rays(overrides):
+    config = make_config(*overrides, "env.duration=6").env
+    act = actions_of("biased", np.random.default_rng(1), (8, 2))
+    steps, mismatches = compare(config, range(8), act)
+    assert steps > 100
+    assert mismatches == []
+
+
+def test_the_wrapper_shows_vehicles_walls_and_obstacles_of_a_users_own_env():
+    gym.register_envs(highway_env)
+    env = Rays(gym.make("parking-v0", config={"vehicles_count": 10}), rays=24, range_m=25)
+    check_env(env, skip_render_check=True)
+    assert env.observation_space["observation"].shape == (30,)
+    lot = env.unwrapped
+    for seed in range(5):
+        observation, _ = env.reset(seed=seed)
+        assert env.observation_space.contains(observation)
+        assert observation["achieved_goal"].shape == observation["desired_goal"].shape == (6,)
+        lot.road.objects.append(Obstacle(lot.road, [-4.0, 2.0]))
+        lot.vehicle.position = np.array([20.0, 5.0])
+        observation = env.observation(lot.observation_type_parking.observe())
+        items = [*lot.road.vehicles[1:], *lot.road.objects[1:]]  # but for the car and its goal
+        assert len(items) == 15
+        polygons = [shapely.Polygon(item.polygon()) for item in items]
+        expected = measured(lot.vehicle.position, lot.vehicle.heading, polygons, 24, 25)
+        np.testing.assert_allclose(observation["observation"][6:] * 25, expected, rtol=0, atol=1e-9)
+    again = gym.make(env.spec)
+    np.testing.assert_array_equal(
+        again.reset(seed=5)[0]["observation"], env.reset(seed=5)[0]["observation"]
+    )
+
+
+def test_training_envs_show_the_car_then_vehicles_then_rays():
+    config = make_config(
+        "env.vehicles_count=10",
+        "env.observation.vehicles_count=2",
+        "env.observation.rays=8",
+        "env.observation.rays_range_m=30",
+    ).env
+    envs = ParkingTask(config).training_envs(4)
+    envs.seed(3)
+    observation = envs.reset()["observation"]
+    assert envs.observation_space["observation"].shape == (24,) == observation[0].shape
+    assert (observation[:, [6, 11]] == 1).all()  # presence
+    rays = observation[:, 16:]
+    assert ((rays > 0) & (rays <= 1)).all()
+    assert (rays < 20.5 / 30).any(axis=1).all()  # the walls are nearer than 30 m
+
+
+def test_without_rays_a_config_is_stored_as_it_was_before_there_were_any():
+    observation = make_config("env.observation.rays=0").plain()["env"]["observation"]
+    assert {*observation} == {"type", "features", "scales", "normalize", "vehicles_count"}
+
+
+def test_rays_are_stored_and_part_of_a_runs_key():
+    configs = [
+        make_config(),
+        make_config("env.observation.rays=8"),
+        make_config("env.observation.rays=8", "env.observation.rays_range_m=20"),
+    ]
+    assert len({config.run_key for config in configs}) == 3
+    observation = configs[2].plain()["env"]["observation"]
+    assert (observation["rays"], observation["rays_range_m"]) == (8, 20)
+    assert {"env.observation.rays", "env.observation.rays_range_m"} <= TRAINING_ONLY
+    kwargs = [ParkingTask(config.env).features("ego_mirrored")[1] for config in configs]
+    assert "rays" not in kwargs[0]
+    assert kwargs[1] == kwargs[0] | {"rays": 8}
+
+
+@pytest.mark.parametrize("override", ["rays=-1", "rays=361", "rays_range_m=0"])
+def test_a_wrong_number_or_range_is_refused(override):
+    with pytest.raises(ConfigError, match=f"^env.observation.{override}"):
+        make_config(f"env.observation.{override}")
