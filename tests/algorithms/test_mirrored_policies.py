@@ -10,27 +10,35 @@ from parking_exp.errors import ConfigError
 # A mirror at the y axis: of x, y, vx, vy, cos_h, sin_h; and of acceleration and steering.
 MIRROR = np.array([-1, 1, -1, 1, -1, 1])
 STEERING = torch.tensor([1.0, -1.0])
+# The same of presence, x, y, cos_h, sin_h of a vehicle, and the order of four rays.
+MIRROR_OF_VEHICLE = np.array([1, -1, 1, -1, 1])
+RAYS = [0, 3, 2, 1]
 ONE = ("n_envs=1",)
+SEEN = ("env.observation.vehicles_count=1", "env.observation.rays=4")
 
 
-def tensors(car, goal):
-    entries = {"observation": car, "achieved_goal": car, "desired_goal": goal}
+def tensors(car, goal, *seen):
+    observation = np.concatenate([car, *seen], axis=1)
+    entries = {"observation": observation, "achieved_goal": car, "desired_goal": goal}
     return {key: torch.tensor(value, dtype=torch.float32) for key, value in entries.items()}
 
 
 def scenes(n=200):
-    """Cars and slots anywhere, and their mirror images."""
+    """Cars, slots, vehicles and rays anywhere, and their mirror images."""
     rng = np.random.default_rng(0)
     car, goal = rng.uniform(-0.3, 0.3, (2, n, 6))
-    heading = rng.uniform(0, 2 * np.pi, n)
-    car[:, 4:] = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    goal[:, 2:] = np.array([0, 0, 0, 1]) * rng.choice([-1, 1], (n, 1))
-    return tensors(car, goal), tensors(car * MIRROR, goal * MIRROR)
+    heading = rng.uniform(0, 2 * np.pi, (2, n))
+    car[:, 4:], goal[:, 4:] = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    goal[:, 2:4] = 0
+    vehicle = rng.uniform(-0.3, 0.3, (n, 5))
+    rays = rng.uniform(0, 1, (n, 4))
+    mirrored = [car * MIRROR, goal * MIRROR, vehicle * MIRROR_OF_VEHICLE, rays[:, RAYS]]
+    return tensors(car, goal, vehicle, rays), tensors(*mirrored)
 
 
 @pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg"])
 def test_the_mirror_image_of_a_scene_gets_the_mirror_image_of_the_action(algorithm):
-    model = make_model(f"algorithm={algorithm}", *ONE)
+    model = make_model(f"algorithm={algorithm}", *ONE, *SEEN)
     scene, mirrored = scenes()
     with torch.no_grad():
         action = model.policy(scene, deterministic=True)
@@ -45,7 +53,7 @@ def test_the_mirror_image_of_a_scene_gets_the_mirror_image_of_the_action(algorit
 
 
 def test_sampled_actions_are_mirrored_and_their_probabilities_are_not():
-    model = make_model("algorithm=sac", *ONE)
+    model = make_model("algorithm=sac", *ONE, *SEEN)
     sampled = []
     for entries in scenes():
         torch.manual_seed(0)

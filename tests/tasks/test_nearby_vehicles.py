@@ -20,7 +20,6 @@ from support.simulator_equality import actions_of, compare
 from parking_exp.tasks.parking.features import (
     EgoFrameExtractor,
     FineEgoFrameExtractor,
-    MirroredEgoFrameExtractor,
 )
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
@@ -152,20 +151,11 @@ def test_training_envs_show_the_vehicles_of_the_next_scene_after_an_end():
         )
 
 
-def scene(turn=0.0, mirror=1.0):
-    """A car, a goal and two of three vehicles; the whole lot turned, or mirrored at the x axis
-    before.
-    """
+def scene():
+    """A car, a goal and two of three vehicles."""
 
     def entry(x, y, heading):
-        y, heading = mirror * y, mirror * heading
-        cos, sin = np.cos(turn), np.sin(turn)
-        return [
-            (cos * x - sin * y) / 100,
-            (sin * x + cos * y) / 100,
-            np.cos(heading + turn),
-            np.sin(heading + turn),
-        ]
+        return [x / 100, y / 100, np.cos(heading), np.sin(heading)]
 
     x, y, cos_h, sin_h = entry(3.0, 2.0, 0.4)
     goal_x, goal_y, goal_cos, goal_sin = entry(10.0, 14.0, np.pi / 2)
@@ -201,16 +191,6 @@ def test_vehicles_as_the_goal_sees_them():
     features = extractor(FineEgoFrameExtractor)(scene())[0, 19:].reshape(3, 9)
     np.testing.assert_allclose(features[:2, 7:], [[0, -np.tanh(1)], [0, np.tanh(1)]], atol=1e-5)
     assert features[2].tolist() == [0] * 9
-
-
-def test_a_lot_with_vehicles_turned_by_180_degrees_or_mirrored_has_the_same_features():
-    fine, mirrored = extractor(FineEgoFrameExtractor), extractor(MirroredEgoFrameExtractor)
-    torch.testing.assert_close(fine(scene(turn=np.pi)), fine(scene()), rtol=0, atol=1e-5)
-    for turn in (0.0, np.pi):
-        torch.testing.assert_close(
-            mirrored(scene(turn, mirror=-1)), mirrored(scene()), rtol=0, atol=1e-5
-        )
-    assert not torch.allclose(fine(scene(mirror=-1)), fine(scene()), atol=0.1)
 
 
 def test_rates_by_number_of_vehicles_and_their_figure():
