@@ -36,6 +36,7 @@ PUBLIC_PATHS = (
     "parking_exp.tasks.parking.reward.ParkingReward",
     "parking_exp.tasks.parking.nearby_vehicles.NearbyVehicles",
     "parking_exp.tasks.parking.nearby_vehicles.RandomVehiclesCount",
+    "parking_exp.tasks.parking.rays.Rays",
     "parking_exp.tasks.parking.obstacles",
     "parking_exp.tasks.parking.obstacles.RandomObstacles",
     "parking_exp.tasks.parking.scenes",

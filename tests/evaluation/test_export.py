@@ -31,6 +31,7 @@ AGENTS = {
     **{f"td3 {features}": ("algorithm=td3", f"algorithm.features={features}")
        for features in ("raw", "ego", "ego_fine", "ego_mirrored")},
     "td3 among cars": ("algorithm=td3", "env.observation.vehicles_count=3", "env.vehicles_count=5"),
+    "td3 with rays": ("algorithm=td3", "env.observation.rays=5"),
     "td3 with moving goals": ("env=parking_stop", "algorithm=td3"),
     "sac": ("algorithm=sac",),
     "sac with gSDE": ("algorithm=sac", "algorithm.use_sde=true", "algorithm.features=raw"),
