@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from support.runs import make_config
 
 from parking_exp.tasks.parking.features import (
     EgoFrameExtractor,
     FineEgoFrameExtractor,
     MirroredEgoFrameExtractor,
 )
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
+from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.rays import ray_distances, rectangles_of
 
 WEIGHTS = [1, 0.3, 0.1, 0.1, 0.02, 0.02]
@@ -125,3 +128,44 @@ def test_x_and_y_are_in_units_of_half_the_lots_size():
     features = extractor(EgoFrameExtractor, lot_size_m=(50.0, 20.0))(scene)
     assert_same(features[:, 6], scene["observation"][:, 0] * 4)
     assert_same(features[:, 7], scene["observation"][:, 1] * 10)
+
+
+def outlines(slots, turns):
+    """Places of slots, shape (slots, 3), and their headings, which count the same in `turns`
+    directions; sorted.
+    """
+    x, y, heading = slots.T
+    entries = [x, y, np.cos(turns * heading), np.sin(turns * heading)]
+    return sorted(map(tuple, np.round(np.stack(entries, axis=-1), 6) + 0.0))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "turned", "handed"),
+    [
+        (["env=parking_parallel"], True, False),
+        (["env=parking_bays"], True, False),
+        (["env=parking_dead_end"], False, True),
+        (["env=parking_bays", "env.lot.angle_deg=60"], True, True),
+        (["env=parking_bays", "env.lot.rows=1", "env.vehicles_count=5"], False, False),
+    ],
+)
+def test_features_know_the_size_and_the_symmetries_of_the_lot(overrides, turned, handed):
+    config = make_config(*overrides).env
+    lot = lot_of(config)
+    (slots,) = lot.from_seeds([0]).slots
+    factor, summand = TURN
+    assert (outlines(slots * factor + summand, 1) == outlines(slots, 1)) == turned
+    factor, summand = MIRRORS["x to -x"]
+    assert (outlines(slots * factor + summand, 2) == outlines(slots, 2)) != handed
+    task = ParkingTask(config)
+    assert task.features("ego")[1] == {"lot_size_m": lot.size_m}
+    fine = task.features("ego_fine")[1]
+    assert (fine["lot_size_m"], fine["turned"]) == (lot.size_m, turned)
+    assert task.features("ego_mirrored")[1] == {**fine, "handed": handed}
+
+
+def test_features_of_highway_envs_own_lot_have_no_further_arguments():
+    task = ParkingTask(make_config().env)
+    weights = {"reward_weights": [1, 0.3, 0, 0, 0.02, 0.02]}
+    arguments = [task.features(name)[1] for name in ("ego", "ego_fine", "ego_mirrored")]
+    assert arguments == [{}, weights, weights]

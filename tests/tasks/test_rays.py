@@ -99,10 +99,11 @@ LOTS = [
     ("env.vehicles_count=20", "env.observation.rays=32", "env.observation.rays_range_m=40"),
     ("env.vehicles_count=5", "env.observation.rays=1", "env.observation.vehicles_count=4"),
     ("env.obstacles=20", "env.observation.rays=7", "env.add_walls=false"),
+    ("env=parking_dead_end", "env.observation.rays=16"),
 ]
 
 
-@pytest.mark.parametrize("overrides", slow_but(LOTS[:1], LOTS))
+@pytest.mark.parametrize("overrides", slow_but([LOTS[0], LOTS[-1]], LOTS))
 def test_simulator_and_highway_env_show_the_same_rays(overrides):
     config = make_config(*overrides, "env.duration=6").env
     act = actions_of("biased", np.random.default_rng(1), (8, 2))

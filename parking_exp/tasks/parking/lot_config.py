@@ -70,6 +70,16 @@ class LotConfig(ConfigModel):
         """Number of slots."""
         return self.rows * self.slots_per_row
 
+    @property
+    def turned(self) -> bool:
+        """Whether the lot equals itself when it is turned by 180 degrees."""
+        return self.rows == 2 and not self.dead_end
+
+    @property
+    def handed(self) -> bool:
+        """Whether walls and slots differ when they are mirrored, x to -x."""
+        return self.dead_end or self.angle_deg not in (0, 90)
+
     def closest_pitch_m(
         self, slot_length_m: np.ndarray | float, slot_width_m: np.ndarray | float
     ) -> np.ndarray:

@@ -90,14 +90,20 @@ class ParkingTask(Task):
             MirroredEgoFrameExtractor,
         )
 
-        lot: dict[str, Any] = {}
+        lot = self.config.lot
+        ego: dict[str, Any] = {}
         if self.config.observation.rays:
-            lot["rays"] = self.config.observation.rays
-        weights = {"reward_weights": list(self.config.reward_weights), **lot}
+            ego["rays"] = self.config.observation.rays
+        fine: dict[str, Any] = {"reward_weights": list(self.config.reward_weights)}
+        mirrored: dict[str, Any] = {}
+        if lot is not None:
+            ego["lot_size_m"] = lot_of(self.config).size_m
+            fine["turned"] = lot.turned
+            mirrored["handed"] = lot.handed
         extractors: dict[str, tuple[type, dict[str, Any]]] = {
-            "ego": (EgoFrameExtractor, lot),
-            "ego_fine": (FineEgoFrameExtractor, weights),
-            "ego_mirrored": (MirroredEgoFrameExtractor, weights),
+            "ego": (EgoFrameExtractor, ego),
+            "ego_fine": (FineEgoFrameExtractor, ego | fine),
+            "ego_mirrored": (MirroredEgoFrameExtractor, ego | fine | mirrored),
         }
         return extractors.get(name)
 
