@@ -173,7 +173,7 @@ def test_rays_are_stored_and_part_of_a_runs_key():
     assert kwargs[1] == kwargs[0] | {"rays": 8}
 
 
-@pytest.mark.parametrize("override", ["rays=-1", "rays=361", "rays_range_m=0"])
+@pytest.mark.parametrize("override", ["rays=-1", "rays=361", "rays_range_m=0", "rays_range_m=1001"])
 def test_a_wrong_number_or_range_is_refused(override):
     with pytest.raises(ConfigError, match=f"^env.observation.{override}"):
         make_config(f"env.observation.{override}")

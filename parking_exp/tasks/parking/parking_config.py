@@ -56,7 +56,9 @@ class ObservationConfig(ConfigModel):
     vehicles_count: Annotated[int, Field(ge=0, le=100)] = 0
     # Left out of stored configs and of the names of evaluations where they are the defaults.
     rays: Annotated[int, Field(ge=0, le=360, exclude_if=not_)] = 0
-    rays_range_m: Annotated[PositiveFloat, Field(exclude_if=RAYS_RANGE_M.__eq__)] = RAYS_RANGE_M
+    rays_range_m: Annotated[float, Field(gt=0, le=1000, exclude_if=RAYS_RANGE_M.__eq__)] = (
+        RAYS_RANGE_M
+    )
 
 
 class ActionConfig(ConfigModel):

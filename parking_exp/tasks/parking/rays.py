@@ -26,15 +26,10 @@ def rectangles_of(
         length: along the heading, one for all, or of a shape that broadcasts to (n, R) [m].
         width: across it, likewise.
     """
-    rectangles = np.empty((6, *heading.shape))
-    rectangles[0] = centre[..., 0]
-    rectangles[1] = centre[..., 1]
-    np.cos(heading, out=rectangles[2])
-    np.sin(heading, out=rectangles[3])
-    rectangles[4] = length
-    rectangles[5] = width
-    rectangles[4:] /= 2
-    return rectangles
+    x, y = np.moveaxis(centre, -1, 0)
+    cos = np.cos(heading)
+    sin = np.sin(heading)
+    return np.stack(np.broadcast_arrays(x, y, cos, sin, length / 2, width / 2))
 
 
 def ray_distances(
