@@ -13,6 +13,14 @@ import torch
 from filelock import FileLock
 from support.runs import ROOT, in_memory, only_run, run_script
 
+CHROMIUM_ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-sync",
+]
+
 torch.set_num_threads(1)  # networks this small gain nothing from more, and other processes do
 
 
@@ -97,3 +105,49 @@ def srun(tmp_path_factory, monkeypatch):
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(program.parent), prepend=os.pathsep)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    executable = next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )
+    if executable is None:
+        reason = "no browser found: apt-get install chromium"
+        if os.environ.get("CI", "").lower() not in ("", "0", "false"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=executable, args=CHROMIUM_ARGUMENTS)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Open a file in a browser; at the end nothing may have gone wrong or asked for a second
+    file.
+    """
+    seen, opened = [], []
+
+    def opening(path, width=1280, **options):
+        context = browser.new_context(viewport={"width": width, "height": 900}, **options)
+        opened.append(context)
+        tab = context.new_page()
+        tab.on("console", lambda message: seen.append(f"console: {message.text}"))
+        tab.on("pageerror", lambda error: seen.append(f"error: {error}"))
+        tab.on(
+            "dialog", lambda dialog: (seen.append(f"dialog: {dialog.message}"), dialog.dismiss())
+        )
+        tab.on(
+            "request",
+            lambda request: request.url != path.as_uri() and seen.append(f"request: {request.url}"),
+        )
+        tab.goto(path.as_uri())
+        return tab
+
+    yield opening
+    for context in opened:
+        context.close()
+    assert seen == []

@@ -1,4 +1,4 @@
-"""Evaluate stored runs: rates with intervals, a table of episodes, a video."""
+"""Evaluate stored runs: rates with intervals, a table of episodes, a video, a replay."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -19,6 +19,7 @@ from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpi
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
 from parking_exp.evaluation.saved_models import find_saved_model, is_model_file
+from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.file_hashes import write_summary
 from parking_exp.runs.metric_logs import EPISODES_FILE
@@ -34,6 +35,7 @@ TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {
     "tracking",
 }
 """Keys of the recipe that an option of `env` may set."""
+REPLAY_FILE = "replay.html"
 DEFAULT_EPISODES = 100
 PRETRAINED_EPISODES = 20  # the cards of pretrained agents have the rates of 500
 
@@ -58,6 +60,7 @@ class EvaluationRequest(AgentRequest):
     simulator: str | None
     video: NonNegativeInt
     gif: bool
+    replay: bool
     name: Name | None
     tracking: ResultsTracking
     # An option of `env` with its changes, or changes of the env of training.
@@ -251,6 +254,9 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
         say(_headline(evaluation), *describe(episodes, task.metrics))
         if request.video:
             _record_video(policy, task, request, folder)
+        if request.replay:
+            with torch_settings(agent.config):
+                _write_replay(policy, task, evaluation)
 
     summary = summarise(episodes, task.metrics)
     _write_summary(evaluation, summary, intervals(episodes, task.metrics))
@@ -260,18 +266,21 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
 def _clear_folder(folder: Path) -> None:
     """Make the folder of an evaluation, without the results of an earlier one."""
     folder.mkdir(parents=True, exist_ok=True)
-    for outdated in (folder / SUMMARY_FILE, *folder.glob("video.*")):
+    for outdated in (folder / SUMMARY_FILE, folder / REPLAY_FILE, *folder.glob("video.*")):
         outdated.unlink(missing_ok=True)
 
 
 def _headline(evaluation: Evaluation) -> str:
     """Say what is evaluated, and on what."""
-    request = evaluation.request
-    return (
-        f"{evaluation.agent.name} on {plural(len(request.seeds), 'episode')} of "
-        f"{evaluation.env_text}, from seed {request.first_scene}, simulated by "
-        f"{evaluation.env.simulator}"
-    )
+    first = evaluation.request.first_scene
+    simulator = evaluation.env.simulator
+    return f"{_title(evaluation)}, from seed {first}, simulated by {simulator}"
+
+
+def _title(evaluation: Evaluation) -> str:
+    """Name the agent, the number of episodes and the env."""
+    episodes = plural(len(evaluation.request.seeds), "episode")
+    return f"{evaluation.agent.name} on {episodes} of {evaluation.env_text}"
 
 
 def _write_summary(
@@ -305,6 +314,18 @@ def _record_video(policy: Policy, task: Task, request: EvaluationRequest, folder
         say(str(error))
     for path in sorted(folder.glob("video.*")):
         say(f"video          {path}")
+
+
+def _write_replay(policy: Policy, task: Task, evaluation: Evaluation) -> None:
+    """Write the page that plays all episodes, and say where; most tasks have none."""
+    path = evaluation.folder / REPLAY_FILE
+    try:
+        page = task.replay_page(policy, evaluation.request.seeds, _title(evaluation))
+    except VideoError as error:
+        say(str(error))
+        return
+    write_atomically(path, page)
+    say(f"replay         {path}")
 
 
 def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:

@@ -172,6 +172,14 @@ class Task(ABC):
         """
         raise VideoError(f"no video: {self.env_id} draws no frames")
 
+    def replay_page(self, policy: Policy, seeds: Sequence[int], title: str) -> str:
+        """Return a page, one HTML file, that plays some episodes.
+
+        Raises:
+            VideoError: the task has no such page.
+        """
+        raise VideoError(f"no replay: {self.env_id} has no page that plays episodes")
+
 
 @dataclass(frozen=True)
 class TaskSection:

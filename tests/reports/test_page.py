@@ -1,8 +1,5 @@
 """The report's page in a real browser, from a file, with the network watched."""
 
-import os
-import shutil
-
 import pytest
 from support import report_factory
 from support.marks import slow_but
@@ -10,13 +7,6 @@ from support.marks import slow_but
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import DrawnFigure, section_contents
 
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-sync",
-]
 SECTIONS = {
     "final_success": "results", "learning_curves": "curves", "time_to_90": "time", "pairwise": "pairs",
     "scene_map": "scenes",
@@ -26,23 +16,6 @@ FIGURES = [
     DrawnFigure(name, name.replace("_", " ").capitalize(), "Each point is a seed.", SVG, section)
     for name, section in SECTIONS.items()
 ]
-
-
-@pytest.fixture(scope="session")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    executable = next(
-        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-    )
-    if executable is None:
-        reason = "no browser found: apt-get install chromium"
-        if os.environ.get("CI", "").lower() not in ("", "0", "false"):
-            pytest.fail(reason)
-        pytest.skip(reason)
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=executable, args=ARGUMENTS)
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="session")
@@ -63,31 +36,9 @@ def files(tmp_path_factory):
 
 
 @pytest.fixture
-def show(browser, files):
-    """Open an example's page; at the end nothing may have gone wrong or asked for a second file."""
-    seen, opened = [], []
-
-    def shown(name, width=1280, **options):
-        path = files(name)
-        context = browser.new_context(viewport={"width": width, "height": 900}, **options)
-        opened.append(context)
-        tab = context.new_page()
-        tab.on("console", lambda message: seen.append(f"console: {message.text}"))
-        tab.on("pageerror", lambda error: seen.append(f"error: {error}"))
-        tab.on(
-            "dialog", lambda dialog: (seen.append(f"dialog: {dialog.message}"), dialog.dismiss())
-        )
-        tab.on(
-            "request",
-            lambda request: request.url != path.as_uri() and seen.append(f"request: {request.url}"),
-        )
-        tab.goto(path.as_uri())
-        return tab
-
-    yield shown
-    for context in opened:
-        context.close()
-    assert seen == []
+def show(open_page, files):
+    """Open an example's page."""
+    return lambda name, width=1280, **options: open_page(files(name), width, **options)
 
 
 def labels_in(tab):

@@ -110,3 +110,14 @@ class ParkingTask(Task):
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield the frames of a video of some scenes: a second of it is a second of driving."""
         return frames(policy, self.config, seeds)
+
+    def replay_page(self, policy: Policy, seeds: Sequence[int], title: str) -> str:
+        """Return a page that plays some scenes, as the vectorized simulator drives them."""
+        from parking_exp.tasks.parking.episode_recording import record_episodes
+        from parking_exp.tasks.parking.replay_page import render_replay
+
+        episodes = []
+        for first in range(0, len(seeds), self.batch_size):
+            batch_seeds = seeds[first : first + self.batch_size]
+            episodes += record_episodes(policy, self.config, batch_seeds)
+        return render_replay(episodes, self.config.policy_frequency, title)

@@ -141,7 +141,7 @@ class Simulator:
         if actions.dtype.kind != "f":
             actions = actions.astype(np.float64)
         assert actions.shape == (len(self), 2), f"actions have the shape {actions.shape}"
-        acceleration, steering = self._controls(actions)
+        acceleration, steering = self.controls(actions)
         position = state.position
         heading = state.heading
         speed = state.speed
@@ -181,8 +181,10 @@ class Simulator:
         """Restore a state; what follows is identical."""
         self.state = SceneState(**{name: np.array(array) for name, array in state.items()})
 
-    def _controls(self, actions: np.ndarray) -> np.ndarray:
-        """Return accelerations and steering angles, shape (2, n)."""
+    def controls(self, actions: np.ndarray) -> np.ndarray:
+        """Return the accelerations and steering angles that actions ask for, shape (2, n) [m/s2,
+        rad]; actions have the shape (n, 2).
+        """
         if self.clip:
             actions = np.minimum(np.maximum(actions, -1), 1)
         # From [-1, 1] to the ranges, in the precision of the actions, as highway-env does.

@@ -1,25 +1,4 @@
-"use strict";
-// Sorting, filtering, theme: the page is complete without them. No library.
-const root = document.documentElement;
-
-const remembered = {
-  get() { try { return localStorage.getItem("theme"); } catch { return null; } },
-  set(theme) { try { localStorage.setItem("theme", theme); } catch { /* file:// may forbid it */ } },
-};
-const stored = remembered.get();
-if (stored === "light" || stored === "dark") root.dataset.theme = stored;
-
-function addToggle() {
-  const dark = () => (root.dataset.theme || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")) === "dark";
-  const button = document.createElement("button");
-  button.type = "button";
-  button.id = "theme";
-  const say = () => { button.textContent = dark() ? "Light" : "Dark"; button.setAttribute("aria-label", `Switch to ${dark() ? "light" : "dark"} colours`); };
-  button.addEventListener("click", () => { root.dataset.theme = dark() ? "light" : "dark"; remembered.set(root.dataset.theme); say(); });
-  say();
-  document.querySelector("body > header").append(button);
-}
-
+// Sorting, filtering: the page is complete without them. No library.
 const collator = new Intl.Collator(undefined, { numeric: true, sensitivity: "base" });
 
 function sort(table, heading, index) {
@@ -92,7 +71,6 @@ function openTarget() {
 }
 
 document.addEventListener("DOMContentLoaded", () => {
-  addToggle();
   document.querySelectorAll(".table table").forEach(addSorting);
   document.querySelectorAll('.table[data-filter]:not([data-filter=""])').forEach(addFilter);
   openForPrint();

@@ -1,0 +1,1 @@
+"""Pages of one HTML file: their frame, style and colours."""

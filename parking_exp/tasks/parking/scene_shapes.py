@@ -1,0 +1,71 @@
+"""What is on the lot of a scene, as plain rectangles for drawing."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from parking_exp.tasks.parking.geometry import (
+    CAR_LENGTH_M,
+    CAR_WIDTH_M,
+    OBSTACLE_M,
+    WALL_HEADINGS,
+    WALL_THICKNESS_M,
+)
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+from parking_exp.tasks.parking.simulator.collisions import walls_of
+
+
+class Rectangle(NamedTuple):
+    """A rectangle with a direction."""
+
+    x: float  # of its centre [m]
+    y: float
+    heading: float  # [rad]
+    length: float  # along the heading [m]
+    width: float  # across it
+
+
+@dataclass(frozen=True)
+class SceneShapes:
+    """The rectangles of a scene."""
+
+    car: Rectangle
+    goal: Rectangle  # the goal's slot
+    slots: Sequence[Rectangle]
+    parked_cars: Sequence[Rectangle]
+    walls: Sequence[Rectangle]
+    obstacles: Sequence[Rectangle]
+
+
+def scene_shapes(scenes: Scenes, row: int, *, walls: bool) -> SceneShapes:
+    """Return the rectangles of one scene at its start; without walls, there are none."""
+    slots = _rectangles(scenes.slots[row], *scenes.slot_size[row])
+    cars = scenes.vehicle_pose[row][scenes.vehicles[row] != NO_SLOT]
+    (car,) = _rectangles(scenes.start[[row]], CAR_LENGTH_M, CAR_WIDTH_M)
+    obstacles = np.insert(scenes.obstacles[row], 2, 0.0, axis=1)  # their headings
+    return SceneShapes(
+        car=car,
+        goal=slots[scenes.goal[row]],
+        slots=slots,
+        parked_cars=_rectangles(cars, CAR_LENGTH_M, CAR_WIDTH_M),
+        walls=_walls(scenes.box[row]) if walls else [],
+        obstacles=_rectangles(obstacles, OBSTACLE_M, OBSTACLE_M),
+    )
+
+
+def _walls(box: np.ndarray) -> list[Rectangle]:
+    """Return the walls of a box; its size has the shape (2,) [m]."""
+    free = (box[:, None] - WALL_THICKNESS_M) / 2
+    (centres,), (lengths,) = walls_of(free)
+    poses = np.concatenate([centres, WALL_HEADINGS[:, None]], axis=1)
+    return _rectangles(poses, lengths, WALL_THICKNESS_M)
+
+
+def _rectangles(
+    poses: np.ndarray, length: np.ndarray | float, width: float
+) -> list[Rectangle]:
+    """Return n rectangles; poses have the shape (n, 3), the length (n,) or none."""
+    columns = np.broadcast_arrays(*poses.T, length, width)
+    return [Rectangle(*values) for values in np.stack(columns, axis=1).tolist()]
