@@ -39,6 +39,7 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
         "episodes=6",
         "video=1",
         "gif=true",
+        "replay=true",
     )
     assert done.returncode == 0, done.stderr
     copied = "is made again"  # the store, of a copied output directory
@@ -47,6 +48,9 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
         assert re.search(rf"^{name} +\d+\.\d%   95 % interval", done.stdout, re.MULTILINE)
     folder = directory.path / "evaluations" / "parking-final-seeds-0-5"
     assert f"results        {folder}" in done.stdout
+    assert f"replay         {folder / 'replay.html'}" in done.stdout
+    page = (folder / "replay.html").read_text()
+    assert "<title>final model on 6 episodes of parking – parking replay</title>" in page  # noqa: RUF001
     table = pd.read_csv(folder / "episodes.csv")
     assert table["scene"].tolist() == [0, 1, 2, 3, 4, 5]
     # Its start, three simulation frames a step, and a second of its end at 15 frames a second.
@@ -60,6 +64,7 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     stored = artifacts(store(output_dir), directory.run_id, f"evaluations/{folder.name}")
     assert [path.rpartition("/")[2] for path in stored] == [
         "episodes.csv",
+        "replay.html",
         "summary.json",
         "video.gif",
         "video.mp4",
@@ -73,12 +78,12 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     pd.testing.assert_frame_equal(table.head(5), final[episode_columns(METRICS)], rtol=1e-6)
 
 
-def test_another_env_the_best_model_and_a_name_can_be_chosen_and_an_earlier_video_goes(finished):
+def test_another_env_the_best_model_and_a_name_can_be_chosen_and_earlier_files_go(finished):
     directory, _ = finished
     arguments = (f"run={directory.path}", "episodes=2", "env=parking_crowded", "env.duration=0.4",
                  "model=best", "tracking.mlflow=false", "name=crowded")  # fmt: skip
-    for video in ("video=1", "video=0"):
-        done = call_script("evaluate", *arguments, video)
+    for seen in (["video=1", "replay=true"], []):
+        done = call_script("evaluate", *arguments, *seen)
         assert done.returncode == 0, done.stderr
     assert "best model on 2 episodes of parking_crowded" in done.stdout
     folder = directory.path / "evaluations" / "crowded"

@@ -15,7 +15,7 @@ from parking_exp.errors import VideoError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.tasks.parking.episode_recording import MOTION, record_episodes
 from parking_exp.tasks.parking.highway import make_env
-from parking_exp.tasks.parking.replay_page import UNITS, render_replay
+from parking_exp.tasks.parking.replay_page import render_replay
 from parking_exp.tasks.parking.scene_shapes import scene_shapes
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
@@ -23,6 +23,14 @@ from parking_exp.tasks.registry import make_task
 
 SEEDS = range(100, 124)
 CROWDED = ("env=parking_crowded", "env.obstacles=2", "env.duration=5", "env.success_goal_reward=0.27")  # fmt: skip
+UNITS = {
+    "x": 0.01,
+    "y": 0.01,
+    "heading": 0.001,
+    "speed": 0.02,
+    "acceleration": 0.1,
+    "steering": 0.01,
+}
 HOSTILE = "</script><script>window.pwned = 1</script><img src=x onerror='window.pwned = 1'>"
 
 

@@ -11,25 +11,23 @@ import numpy as np
 
 from parking_exp.pages.html_page import render_html, to_base64
 from parking_exp.tasks.parking.episode_recording import MOTION, RecordedEpisode
-from parking_exp.tasks.parking.scene_shapes import Rectangle, SceneShapes
 
 TEMPLATE = Path(__file__).parent / "templates" / "replay.html.j2"
 OUTCOMES = ("crash", "timeout", "success")
 """In the order of the page."""
 
-# The smallest difference that the page shows, in m, rad, m/s and m/s².
-UNITS = {
-    "x": 0.01,
-    "y": 0.01,
-    "heading": 0.001,
-    "speed": 0.02,
-    "acceleration": 0.1,
-    "steering": 0.01,
+# Each series is stored in whole numbers of a unit, in m, rad, m/s and m/s². What is smooth is
+# stored as differences, or as differences of differences: small numbers, which compress well.
+# Controls may jump, so they are stored as they are.
+FORMATS = {
+    "x": (0.01, 2),
+    "y": (0.01, 2),
+    "heading": (0.001, 1),
+    "speed": (0.02, 1),
+    "acceleration": (0.1, 0),
+    "steering": (0.01, 0),
+    "rays": (0.1, 1),
 }
-RAY_UNIT_M = 0.1
-# A series of n numbers is stored as its differences, or the differences of those: what is smooth
-# becomes small numbers, which compress well. Controls may jump, and are stored as they are.
-DIFFERENCES = {"x": 2, "y": 2, "heading": 1, "speed": 1, "acceleration": 0, "steering": 0}
 
 
 def render_replay(episodes: Sequence[RecordedEpisode], steps_per_s: float, title: str) -> str:
@@ -49,37 +47,25 @@ def _recording(episodes: Sequence[RecordedEpisode], steps_per_s: float) -> dict[
     """Return what the page reads: the scenes of the episodes, and the series of each column."""
     scenes = []
     for episode in episodes:
-        shapes = _plain_shapes(episode.shapes)
-        scenes.append({"seed": episode.seed, "outcome": episode.outcome, **shapes})
+        scene = {"seed": episode.seed, "outcome": episode.outcome}
+        for name, shape in vars(episode.shapes).items():
+            scene[name] = np.round(shape, 3).tolist()
+        scenes.append(scene)
 
     series = {}
     for column, name in enumerate(MOTION):
-        values = [episode.motion[:, column] for episode in episodes]
-        series[name] = _series(values, UNITS[name], DIFFERENCES[name])
+        series[name] = _series(name, [episode.motion[:, column] for episode in episodes])
     rays = []
     for episode in episodes:
         distances = np.empty((0, 0)) if episode.rays is None else episode.rays
         rays.append(distances.T)
-    series["rays"] = _series(rays, RAY_UNIT_M, 1)
+    series["rays"] = _series("rays", rays)
     return {"steps_per_s": steps_per_s, "scenes": scenes, "series": series}
 
 
-def _plain_shapes(shapes: SceneShapes) -> dict[str, Any]:
-    plain: dict[str, Any] = {}
-    for name, shape in vars(shapes).items():
-        if isinstance(shape, Rectangle):
-            plain[name] = _rounded(shape)
-        else:
-            plain[name] = [_rounded(rectangle) for rectangle in shape]
-    return plain
-
-
-def _rounded(rectangle: Rectangle) -> list[float]:
-    return [round(value, 3) for value in rectangle]
-
-
-def _series(values: Sequence[np.ndarray], unit: float, differences: int) -> dict[str, Any]:
-    """Return the values of all episodes as whole numbers of `unit`, each of shape (..., time)."""
+def _series(name: str, values: Sequence[np.ndarray]) -> dict[str, Any]:
+    """Return the values of all episodes as whole numbers of a unit, each of shape (..., time)."""
+    unit, differences = FORMATS[name]
     episodes = []
     for episode in values:
         whole = np.rint(episode / unit).astype(np.int64)
