@@ -15,9 +15,9 @@ from parking_exp.errors import VideoError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.tasks.parking.episode_recording import MOTION, record_episodes
 from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.replay_page import render_replay
 from parking_exp.tasks.parking.scene_shapes import scene_shapes
-from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
 
@@ -46,14 +46,13 @@ def crowded_env():
     return make_config(*CROWDED).env
 
 
-def start(seeds, env=None):
-    env = env or crowded_env()
-    return Simulator(env, Scenes.from_seeds(seeds, env.vehicles_range, env.obstacles))
+def start(seeds):
+    return Simulator(crowded_env(), lot_of(crowded_env()).from_seeds(seeds))
 
 
 @cache
 def recorded():
-    return record_episodes(wander, start(SEEDS), SEEDS)
+    return record_episodes(wander, crowded_env(), SEEDS)
 
 
 def page(title="an agent"):
@@ -104,12 +103,17 @@ def test_outcomes_and_steps_are_those_of_an_evaluation():
     assert {*table["outcome"]} == {"crash", "timeout", "success"}
 
 
-def test_shapes_of_a_scene_are_those_of_highway_env():
+@pytest.mark.parametrize(
+    "overrides", [CROWDED, ["env=parking_parallel", "env.level=normal"], ["env=parking_angled"]]
+)
+def test_shapes_of_a_scene_are_those_of_highway_env(overrides):
     from highway_env.vehicle.objects import Landmark, Obstacle
 
-    env = make_env(crowded_env())
+    config = make_config(*overrides).env
+    scenes = lot_of(config).from_seeds(SEEDS)
+    env = make_env(config)
     for row, seed in enumerate(SEEDS):
-        shapes = scene_shapes(start(SEEDS), row)
+        shapes = scene_shapes(scenes, row, walls=True)
         env.reset(seed=seed)
         lot = env.unwrapped
         obstacles = [item for item in lot.road.objects if isinstance(item, Obstacle)]
@@ -123,11 +127,13 @@ def test_shapes_of_a_scene_are_those_of_highway_env():
         assert shapes.goal in shapes.slots
         lanes = lot.road.network.lanes_list()
         slots = [(*lane.position(lane.length / 2, 0), lane.length, lane.width) for lane in lanes]
-        assert slots == [(slot.x, slot.y, slot.length, slot.width) for slot in shapes.slots]
+        ours = [(slot.x, slot.y, slot.length, slot.width) for slot in shapes.slots]
+        np.testing.assert_allclose(ours, slots, rtol=0, atol=1e-12)
 
 
 def test_an_env_without_walls_and_obstacles_shows_none():
-    shapes = scene_shapes(start([0], make_config("env.add_walls=false").env), 0)
+    scenes = lot_of(make_config("env=parking").env).from_seeds([0])
+    shapes = scene_shapes(scenes, 0, walls=False)
     assert (shapes.walls, shapes.obstacles, shapes.parked_cars) == ([], [], [])
     assert len(shapes.slots) == 28
 

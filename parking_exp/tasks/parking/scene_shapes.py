@@ -63,9 +63,7 @@ def _walls(box: np.ndarray) -> list[Rectangle]:
     return _rectangles(poses, lengths, WALL_THICKNESS_M)
 
 
-def _rectangles(
-    poses: np.ndarray, length: np.ndarray | float, width: float
-) -> list[Rectangle]:
+def _rectangles(poses: np.ndarray, length: np.ndarray | float, width: float) -> list[Rectangle]:
     """Return n rectangles; poses have the shape (n, 3), the length (n,) or none."""
     columns = np.broadcast_arrays(*poses.T, length, width)
     return [Rectangle(*values) for values in np.stack(columns, axis=1).tolist()]
