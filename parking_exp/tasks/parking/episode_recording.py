@@ -27,8 +27,8 @@ class RecordedEpisode:
     # are those that the policy asked for in the step before; 0 at the start.
     motion: np.ndarray
     # What a lidar measures at the same times, shape (1 + steps, rays) [m]. The rays are evenly
-    # spaced, the first straight ahead, the others counter-clockwise. None without a lidar.
-    rays: np.ndarray | None = None
+    # spaced, the first straight ahead, the others counter-clockwise. There may be none.
+    rays: np.ndarray
 
 
 def record_episodes(
@@ -61,8 +61,11 @@ def record_episodes(
         observation = {key: values[~done] for key, values in step.observation.items()}
 
     motions = _split_by_scene(np.concatenate(history), np.concatenate(recorded))
-    columns = zip(seeds, outcomes, shapes, motions, strict=True)
-    return [RecordedEpisode(*values) for values in columns]
+    episodes = []
+    for seed, ending, scene, motion in zip(seeds, outcomes, shapes, motions, strict=True):
+        rays = np.empty((len(motion), 0))
+        episodes.append(RecordedEpisode(seed, ending, scene, motion, rays))
+    return episodes
 
 
 def _motion(simulator: Simulator, controls: np.ndarray) -> np.ndarray:

@@ -55,11 +55,7 @@ def _recording(episodes: Sequence[RecordedEpisode], steps_per_s: float) -> dict[
     series = {}
     for column, name in enumerate(MOTION):
         series[name] = _series(name, [episode.motion[:, column] for episode in episodes])
-    rays = []
-    for episode in episodes:
-        distances = np.empty((0, 0)) if episode.rays is None else episode.rays
-        rays.append(distances.T)
-    series["rays"] = _series("rays", rays)
+    series["rays"] = _series("rays", [episode.rays.T for episode in episodes])
     return {"steps_per_s": steps_per_s, "scenes": scenes, "series": series}
 
 
