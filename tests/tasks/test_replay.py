@@ -159,13 +159,16 @@ def test_failures_come_first_and_each_kind_in_the_order_of_its_seeds():
     assert sorted(seed for _, seed in keys) == [*SEEDS]
 
 
-def test_what_a_lidar_measured_is_kept_to_a_decimetre():
-    episode = recorded()[0]
-    rng = np.random.default_rng(0)
-    rays = rng.uniform(0, 40, (len(episode.motion), 3))
-    recording = unpack(render_replay([replace(episode, rays=rays)], 5, "lidar"))
-    (distances,) = recording["series"]["rays"]["episodes"]
-    np.testing.assert_array_equal(distances, np.rint(rays.T / 0.1))
+def test_rays_are_recorded_in_metres_and_shown_to_a_decimetre():
+    env = make_config(*CROWDED, "env.observation.rays=5", "env.observation.rays_range_m=8").env
+    (episode,) = record_episodes(wander, env, [SEEDS[0]])
+    simulator = Simulator(env, lot_of(env).from_seeds([SEEDS[0]]))
+    np.testing.assert_array_equal(episode.rays[[0]], 8 * simulator.observe()["observation"][:, -5:])
+    step = simulator.step(wander(simulator.observe()))
+    np.testing.assert_array_equal(episode.rays[[1]], 8 * step.observation["observation"][:, -5:])
+    assert episode.rays.shape == (len(episode.motion), 5)
+    (shown,) = unpack(render_replay([episode], 5, "rays"))["series"]["rays"]["episodes"]
+    np.testing.assert_array_equal(shown, np.rint(episode.rays.T / 0.1))
 
 
 def test_200_timeouts_of_cars_that_never_drive_smoothly_fit_into_a_megabyte():

@@ -10,7 +10,7 @@ from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scene_shapes import SceneShapes, scene_shapes
 from parking_exp.tasks.parking.simulator import Simulator
-from parking_exp.tasks.task import Policy
+from parking_exp.tasks.task import Observation, Policy
 
 MOTION = ("x", "y", "heading", "speed", "acceleration", "steering")
 """Columns of `RecordedEpisode.motion`, in m, rad, m/s and m/s²."""
@@ -43,13 +43,13 @@ def record_episodes(
     simulator = Simulator(config, starts)
     outcomes = [""] * len(seeds)
     scenes = np.arange(len(seeds))
-    history = [_motion(simulator, np.zeros((2, len(seeds))))]
-    recorded = [scenes]
     observation = simulator.observe()
+    history = [_record(simulator, np.zeros((2, len(seeds))), observation)]
+    recorded = [scenes]
     while len(simulator):
         actions = policy(observation)
         step = simulator.step(actions)
-        history.append(_motion(simulator, simulator.controls(actions)))
+        history.append(_record(simulator, simulator.controls(actions), step.observation))
         recorded.append(scenes)
 
         done = step.terminated | step.truncated
@@ -60,18 +60,21 @@ def record_episodes(
         scenes = scenes[~done]
         observation = {key: values[~done] for key, values in step.observation.items()}
 
-    motions = _split_by_scene(np.concatenate(history), np.concatenate(recorded))
+    records = _split_by_scene(np.concatenate(history), np.concatenate(recorded))
     episodes = []
-    for seed, ending, scene, motion in zip(seeds, outcomes, shapes, motions, strict=True):
-        rays = np.empty((len(motion), 0))
+    for seed, ending, scene, record in zip(seeds, outcomes, shapes, records, strict=True):
+        motion, rays = np.split(record, [len(MOTION)], axis=1)
         episodes.append(RecordedEpisode(seed, ending, scene, motion, rays))
     return episodes
 
 
-def _motion(simulator: Simulator, controls: np.ndarray) -> np.ndarray:
-    """Return what is recorded of a step, shape (n, MOTION)."""
+def _record(simulator: Simulator, controls: np.ndarray, observation: Observation) -> np.ndarray:
+    """Return what is recorded of a step: motion, then rays, shape (n, MOTION + rays)."""
     state = simulator.state
-    return np.stack([*state.position, state.heading, state.speed, *controls], axis=1)
+    motion = np.stack([*state.position, state.heading, state.speed, *controls], axis=1)
+    observed = observation["observation"]
+    seen = observed[:, observed.shape[1] - simulator.rays :]  # the last entries
+    return np.concatenate([motion, simulator.rays_range_m * seen], axis=1)
 
 
 def _split_by_scene(rows: np.ndarray, scenes: np.ndarray) -> list[np.ndarray]:
