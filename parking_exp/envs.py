@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import gymnasium as gym
 
 from parking_exp.config.compose import compose
+from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 
 LOTS = {
@@ -37,15 +38,16 @@ def make_lot(
         overrides: of the config, as in commands, for example `["env.lot.aisle_width_m=6"]`.
 
     Raises:
-        ConfigError: there is no such option, level or key, or the lot can't be.
+        ConfigError: there is no such option, level or key, or there can't be such a lot.
     """
     from parking_exp.tasks.parking.highway import make_env
 
     of_level = [] if level is None else [f"env.level={level}"]
     config = compose(f"env={env}", *of_level, *overrides).env
-    assert isinstance(config, ParkingConfig)
+    if not isinstance(config, ParkingConfig) or config.lot is None:
+        raise ConfigError(f"env={config.name}: it has no lot of its own")
     return make_env(config, render_mode=render_mode)
 
 
 for _id, _env in LOTS.items():
-    gym.register(_id, entry_point=make_lot, kwargs={"env": _env})
+    gym.register(_id, entry_point="parking_exp.envs:make_lot", kwargs={"env": _env})

@@ -61,7 +61,7 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     return runs
 
 
-# What omegaconf puts before the message of an error of ours.
+# omegaconf puts this before the message of a ConfigError.
 OF_RESOLVER = "ConfigError raised while resolving interpolation: "
 
 

@@ -57,9 +57,12 @@ class Agent:
         from parking_exp.algorithms.build_model import build_model
         from parking_exp.algorithms.model_files import load_actor, load_weights
         from parking_exp.algorithms.policy_files import load_policy
+        from parking_exp.tasks.registry import make_task
 
         env = task.prediction_env()
-        model = build_model(self.config, task, env, seed=0, for_training=False)
+        # The features are those of training, also on another lot.
+        trained_on = make_task(self.config.env)
+        model = build_model(self.config, trained_on, env, seed=0, for_training=False)
         if self.directory is not None:
             load_weights(self.weights, model)
         elif self.weights.name == POLICY_FILE:

@@ -69,8 +69,12 @@ def refusal(plain):
         ("env.action.speed_range", [5, -5], ""),
         ("env.action.dynamical", True, "False"),
         *(
-            ("env.vehicles_count", value, "from 0 to 26, or")
-            for value in (27, [3], [5, 2], [0, 27], True, "many")
+            ("env.vehicles_count", value, "give a number of cars, or the lowest and the highest")
+            for value in (-1, [3], [5, 2], True, "many")
+        ),
+        *(
+            ("env.vehicles_count", value, "highway-env's own lot has room for 26")
+            for value in (27, [0, 27])
         ),
         ("env.observation.scales", [1], "[100, 100, 5, 5, 1, 1]"),
         ("algorithm.gamma", 1.5, "1"),

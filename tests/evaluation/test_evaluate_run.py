@@ -3,6 +3,7 @@
 import os
 import re
 import shutil
+from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -12,6 +13,7 @@ from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
 from support.runs import artifacts, call_script, evaluate_stored, only_run, store
 
+from parking_exp import compose, train
 from parking_exp.config.compose import compose_configs
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.evaluation.agents import find_agent
@@ -21,6 +23,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask
+from parking_exp.tasks.registry import make_task
 
 
 @pytest.fixture
@@ -146,6 +149,32 @@ def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
     env = choose_env(request, find_agent(str(directory.path), directory.output_dir))
     assert (env.name, env.vehicles_count) == ("parking_crowded", 10)
     assert env.observation.vehicles_count == 4
+
+
+@pytest.fixture(scope="module")
+def parked_in_parallel(tmp_path_factory):
+    """The directory of a short run on parallel slots, whose level is easy."""
+    output = tmp_path_factory.mktemp("parallel")
+    overrides = ["env=parking_parallel", "algorithm.features=ego_mirrored", "env.duration=20"]
+    result = train(compose("experiment=smoke", *overrides, f"output_dir={output}"))
+    return Path(result.run_dir)
+
+
+@pytest.mark.parametrize("other", ["env.lot.slot_length_m=6", "env.lot.angle_deg=30"])
+def test_an_agent_keeps_its_features_on_another_lot(parked_in_parallel, other):
+    """Also where the other lot has another length and other symmetries."""
+    agent = find_agent(str(parked_in_parallel), parked_in_parallel.parents[2])
+    (config,) = compose_configs("evaluate", [f"run={parked_in_parallel}", f"++{other}"])
+    task = make_task(choose_env(validate_request(config), agent))
+    extractor = agent.load(task).policy.actor.features_extractor
+    assert extractor.lot_size_m == (81.0, 22.0)
+    task.close()
+
+
+def test_a_level_of_a_stored_run_needs_its_env(parked_in_parallel):
+    level = call_script("evaluate", f"run={parked_in_parallel}", "env.level=hard", "episodes=2")
+    sentence = "a run keeps the numbers of its own level only; add env=parking_parallel"
+    assert (level.returncode, level.stderr) == (2, f"error: env.level=hard: {sentence}\n")
 
 
 def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(finished):

@@ -159,7 +159,10 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
     [
         (["lot.slot_length_m=4.9"], "env.lot.slot_length_m=4.9: the car is 5 m long"),
         (["lot.slot_width_m=[2,3]"], "env.lot.slot_width_m=2: the car is 2 m wide"),
-        (["lot.slot_length_m=[9,8]"], "env.lot.slot_length_m: the lowest number comes first"),
+        (["lot.slot_length_m=[9,8]"], "give a length in metres, or the lowest and the highest"),
+        (["lot.slot_length_m=[8]"], "give a length in metres, or the lowest and the highest"),
+        (["lot.slot_length_m=long"], "give a length in metres, or the lowest and the highest"),
+        (["lot.starts.y_m=[1,0]"], "env.lot.starts.y_m: the lowest number comes first"),
         (["lot.pitch_m=5"], "env.lot.pitch_m=5: slots overlap below 8 m"),
         (
             ["lot.aisle_width_m=5"],
@@ -181,6 +184,16 @@ def test_a_lot_that_cannot_be_is_one_sentence(overrides, message):
         env_config("parking_parallel", *overrides)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_lot_without_walls_may_have_starts_anywhere_along_the_street():
+    config = env_config("parking_parallel", "lot.starts.x_m=[-60,0]", "add_walls=false")
+    assert config.lot.starts.x_m == [-60.0, 0.0]
+
+
+def test_a_large_lot_may_have_many_cars():
+    config = env_config("parking_bays", "lot.slots_per_row=100", "vehicles_count=[8,150]")
+    assert lot_of(config).from_seeds([0]).vehicles.shape == (1, 150)
 
 
 def test_a_level_sets_the_numbers_of_the_lot_and_each_can_be_overridden():
@@ -263,6 +276,31 @@ def test_gymnasium_makes_a_lot_with_overrides_and_draws_it():
     _, info = env.reset(seed=0)
     assert info["slot_length_m"] == 9.0
     assert env.render().shape == (300, 600, 3)
+    env.close()
+
+
+def test_gymnasium_refuses_an_env_without_a_lot():
+    with pytest.raises(ConfigError, match="env=parking: it has no lot of its own"):
+        gym.make("parking_exp/Parallel-v0", overrides=["env=parking"])
+
+
+def test_an_env_is_made_again_from_its_spec():
+    spec = gym.make("parking_exp/Bays-v0", level="hard").spec
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json()))
+    assert again.unwrapped.lot.config.slot_width_m == [2.4, 2.85]
+
+
+def test_rewards_of_a_batch_need_the_sizes_of_the_slots():
+    env = gym.make("parking_exp/Bays-v0", level="hard").unwrapped
+    observation, info = env.reset(seed=0)
+    achieved = np.stack([observation["achieved_goal"]] * 2)
+    desired = np.stack([observation["desired_goal"]] * 2)
+    with pytest.raises(ValueError, match="copy_info_dict=True"):
+        env.compute_reward(achieved, desired, [{}, {}])
+    rewards = env.compute_reward(achieved, desired, [info, info])
+    one = env.compute_reward(achieved[0], desired[0], {})
+    np.testing.assert_array_equal(rewards, [one, one])
+    np.testing.assert_array_equal(env.compute_reward(achieved, desired, {}), [one, one])
     env.close()
 
 

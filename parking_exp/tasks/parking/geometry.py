@@ -24,8 +24,8 @@ N_SLOTS = len(SLOT_HEADINGS)
 SLOT_POSES = np.concatenate([SLOT_POSITIONS, SLOT_HEADINGS[:, None]], axis=1)  # (28, 3)
 
 # The walls are the sides of a box around the origin, in highway-env's order: below, above, left,
-# right. Each is a rectangle, one metre thick: its centre in halves of the box, its heading, and the
-# side of the box, length or width, that it is as long as.
+# right. Each is a rectangle, one metre thick. These are their centres, in halves of the box; their
+# headings; and whether they are as long as the length of the box (0) or as its width (1).
 WALL_SIDES = np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
 WALL_HEADINGS = np.array([0.0, 0.0, np.pi / 2, np.pi / 2])
 WALL_ALONG = np.array([0, 0, 1, 1])

@@ -21,7 +21,7 @@ class HighwayLot:
 
     vehicles_range: tuple[int, int]
     n_obstacles: int
-    row_m = ROW_Y_M  # no row is nearer to the middle of the lot
+    nearest_row_m = ROW_Y_M  # no row is nearer to the middle of the lot
     size_m = (LOT_LENGTH_M, LOT_WIDTH_M)
 
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:
@@ -64,7 +64,7 @@ class ParametricLot:
         scenes = self.scenes(extremes)
         length, width = scenes.box[1].tolist()
         self.size_m = (length, width)
-        self.row_m = float(np.abs(scenes.slots[..., 1]).min()) - TINY
+        self.nearest_row_m = float(np.abs(scenes.slots[..., 1]).min()) - TINY
 
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:
         """Return the scenes of `env.reset(seed=s)`."""
@@ -86,7 +86,7 @@ class ParametricLot:
     def scenes(self, draws: np.ndarray) -> Scenes:
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
         n = len(draws)
-        lengths, starts, others, order = np.split(
+        lengths, starts, goal_and_number, order = np.split(
             draws, (N_LENGTHS, N_LENGTHS + 3, N_LENGTHS + 5), axis=1
         )
         slot_length, slot_width, aisle = _scaled(lengths, self._lengths).T
@@ -94,9 +94,9 @@ class ParametricLot:
 
         start = _scaled(starts, self._starts)
         start[:, :2] += middle
-        goal = self._goals[(others[:, 0] * len(self._goals)).astype(np.int64)]
+        goal = self._goals[(goal_and_number[:, 0] * len(self._goals)).astype(np.int64)]
         low, high = self.vehicles_range
-        number = low + (others[:, 1] * (high - low + 1)).astype(np.int64)
+        number = low + (goal_and_number[:, 1] * (high - low + 1)).astype(np.int64)
         return Scenes(
             start=start,
             goal=goal,

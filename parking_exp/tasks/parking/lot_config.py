@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -11,21 +11,27 @@ from parking_exp.config_model import Bounds, ConfigModel
 from parking_exp.tasks.parking.geometry import CAR_DIAGONAL_M, CAR_LENGTH_M, CAR_WIDTH_M
 
 TINY = 1e-9
+MAX_M = 1000.0
 GAP_M = 0.5  # from the slots to the wall behind them, and beside the last one of a dead end
 
 
-def _check_order(value: float | list[float]) -> float | list[float]:
-    if isinstance(value, list) and value[0] > value[1]:
+def _check_drawn(value: Any) -> float | list[float]:
+    """Return a length, or the lowest and the highest of those that scenes draw."""
+    low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
+    numbers = {type(low), type(high)} <= {int, float}
+    if not (numbers and 0 < low <= high <= MAX_M):
+        raise ValueError("give a length in metres, or the lowest and the highest: [6, 7]")
+    return [float(low), float(high)] if isinstance(value, list) else float(value)
+
+
+def _check_order(value: list[float]) -> list[float]:
+    if value[0] > value[1]:
         raise ValueError("the lowest number comes first")
     return value
 
 
-Metres = Annotated[float, Field(gt=0, le=1000)]
-Drawn = Annotated[
-    Metres | Annotated[list[Metres], Field(min_length=2, max_length=2)],
-    AfterValidator(_check_order),
-]
-"""A number, or the lowest and the highest of those that scenes draw."""
+Metres = Annotated[float, Field(gt=0, le=MAX_M)]
+Drawn = Annotated[Any, AfterValidator(_check_drawn)]
 Ordered = Annotated[Bounds, AfterValidator(_check_order)]
 
 
@@ -38,7 +44,10 @@ def bounds(value: float | list[float]) -> tuple[float, float]:
 
 
 class StartsConfig(ConfigModel):
-    """Where the car starts, each uniform in its range, relative to the middle of the aisle."""
+    """Where the car starts, each uniform in its range.
+
+    x is relative to the middle of the rows, y to the middle of the aisle.
+    """
 
     x_m: Ordered
     y_m: Ordered
@@ -48,7 +57,8 @@ class StartsConfig(ConfigModel):
 class LotConfig(ConfigModel):
     """Rows of equal slots along an aisle, in a box of four walls.
 
-    Lengths and the angle are numbers, or ranges from which each scene draws its own.
+    Length and width of the slots and width of the aisle are numbers, or ranges from which each
+    scene draws its own.
     """
 
     angle_deg: Annotated[float, Field(ge=0, le=90)]  # of the slots to the aisle
@@ -91,13 +101,13 @@ class LotConfig(ConfigModel):
         one_behind_the_other = slot_length_m / max(math.cos(angle), TINY)
         return np.minimum(side_by_side, one_behind_the_other)
 
-    def problems(self, vehicles: tuple[int, int]) -> Iterator[str]:
-        """Yield a sentence for each reason why this lot can't be.
+    def problems(self, vehicles: tuple[int, int], *, walls: bool) -> Iterator[str]:
+        """Yield a sentence for each reason why there can't be such a lot.
 
         `vehicles` are the lowest and the highest number of parked cars.
         """
         yield from self._slot_problems()
-        yield from self._start_problems()
+        yield from self._start_problems(walls)
         yield from self._vehicle_problems(vehicles)
 
     def _slot_problems(self) -> Iterator[str]:
@@ -112,7 +122,7 @@ class LotConfig(ConfigModel):
         if self.pitch_m is not None and self.pitch_m < needed - TINY:
             yield f"env.lot.pitch_m={self.pitch_m:g}: slots overlap below {needed:.3g} m"
 
-    def _start_problems(self) -> Iterator[str]:
+    def _start_problems(self, walls: bool) -> Iterator[str]:
         starts = self.starts
         along, across = self._start_extent()
         aisle, _ = bounds(self.aisle_width_m)
@@ -125,7 +135,8 @@ class LotConfig(ConfigModel):
         right = GAP_M if self.dead_end else self.end_m
         half_row = self._half_row_m()
         ends = (-half_row - self.end_m, half_row + right)
-        if starts.x_m[0] - along <= ends[0] or starts.x_m[1] + along >= ends[1]:
+        outside = starts.x_m[0] - along <= ends[0] or starts.x_m[1] + along >= ends[1]
+        if walls and outside:
             yield (
                 f"env.lot.starts.x_m={starts.x_m}: cars would start in the walls, which are at "
                 f"{ends[0]:.3g} and {ends[1]:.3g} m"

@@ -1,5 +1,6 @@
 """Parametric lots as environments of highway-env, which simulates them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -88,15 +89,29 @@ class LotEnv(ParkingEnv):
 
         Args:
             achieved_goal, desired_goal: as the observation has them.
-            info: of the step, or one for each; where it has no slot size, that of the present scene
-                counts.
+            info: of the step, or a list of one for each goal. Without the size of the slot, one
+                dict stands for the present scene.
             p: unused.
+
+        Raises:
+            ValueError: an entry of a list has no size of the slot.
         """
-        infos = [info] if isinstance(info, dict) else list(info)
-        here = dict(zip(self.goal_reward.info_keys, self.slot_size, strict=True))
-        sizes = [[(here | one)[key] for key in self.goal_reward.info_keys] for one in infos]
-        slot_size = np.array(sizes).reshape(*achieved_goal.shape[:-1], 2)
+        slot_size = self.slot_size
+        if not isinstance(info, dict):
+            slot_size = self._slot_sizes(info)
+        elif info.keys() >= set(self.goal_reward.info_keys):
+            slot_size = np.array([info[key] for key in self.goal_reward.info_keys])
         return self.goal_reward(achieved_goal, desired_goal, slot_size)[0]
+
+    def _slot_sizes(self, infos: Sequence[dict[str, Any]]) -> np.ndarray:
+        """Return the sizes of slots that infos have, shape (n, 2) [m]."""
+        try:
+            sizes = [[info[key] for key in self.goal_reward.info_keys] for info in infos]
+        except KeyError as error:
+            raise ValueError(
+                f"info has no {error}: HerReplayBuffer needs copy_info_dict=True on this env"
+            ) from error
+        return np.array(sizes)
 
     def _is_success(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> bool:
         return bool(self.goal_reward(achieved_goal, desired_goal, self.slot_size)[1])

@@ -38,10 +38,8 @@ def _is_none(value: Any) -> bool:
 def _check_vehicles_count(value: Any) -> Any:
     """Refuse what is neither a number of cars nor a range."""
     low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
-    if not (type(low) is type(high) is int and 0 <= low <= high <= MAX_VEHICLES):
-        raise ValueError(
-            f"give a number from 0 to {MAX_VEHICLES}, or the lowest and the highest number: [0, 20]"
-        )
+    if not (type(low) is type(high) is int and 0 <= low <= high):
+        raise ValueError("give a number of cars, or the lowest and the highest: [0, 20]")
     return value
 
 
@@ -98,8 +96,7 @@ class ParkingConfig(TaskConfig):
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
     # None: highway-env's own lot. Left out of stored configs then.
     lot: Annotated[LotConfig | None, Field(exclude_if=_is_none)] = None
-    # The level that the numbers of `lot` come from, and those of all levels, from which they are
-    # interpolated.
+    # `lot` takes its numbers from one of the levels, by interpolation.
     level: Annotated[str | None, Field(exclude_if=_is_none)] = None
     levels: Annotated[dict[str, dict[str, Any]] | None, Field(exclude=True)] = None
 
@@ -179,8 +176,10 @@ class ParkingConfig(TaskConfig):
             )
         if self.policy_frequency > self.simulation_frequency:
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
+        if self.lot is None and self.vehicles_range[1] > MAX_VEHICLES:
+            yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"
         if self.lot is not None:
-            yield from self.lot.problems(self.vehicles_range)
+            yield from self.lot.problems(self.vehicles_range, walls=self.add_walls)
             if self.obstacles:
                 yield f"env.obstacles={self.obstacles}: highway-env's own lot only has obstacles"
 

@@ -32,9 +32,11 @@ class ParkingVecEnv(BatchVecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """Step all envs; infos have what the reward depends on."""
         keys = self.goal_reward.info_keys
-        slot_size = self.simulator.state.slot_size.tolist() if keys else []
+        if not keys:
+            return super().step_wait()
+        slot_size = self.simulator.state.slot_size.tolist()
         observations, rewards, dones, infos = super().step_wait()
-        for info, size in zip(infos, slot_size, strict=False):
+        for info, size in zip(infos, slot_size, strict=True):
             info.update(zip(keys, size, strict=True))
         return observations, rewards, dones, infos
 

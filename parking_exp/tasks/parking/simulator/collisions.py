@@ -211,20 +211,23 @@ class Collisions:
 
     def _corners(self, state: SceneState, scene: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the corners of what can be hit, shape (n, 4, 2)."""
-        wall = np.clip(target - self.count, 0, N_WALLS - 1)
-        walls, lengths = walls_of(state.free[:, scene])
-        pairs = np.arange(len(scene))
-        target_corners = corners(
-            walls[pairs, wall], WALL_DIRECTIONS[wall], lengths[pairs, wall], WALL_THICKNESS_M
-        )
+        is_vehicle = target < self.count
+        is_obstacle = target >= self._first_obstacle
+        is_wall = ~(is_vehicle | is_obstacle)
+        target_corners = np.empty((len(scene), 4, 2))
+        wall = target[is_wall] - self.count
+        if len(wall):
+            walls, lengths = walls_of(state.free[:, scene[is_wall]])
+            pairs = np.arange(len(wall))
+            target_corners[is_wall] = corners(
+                walls[pairs, wall], WALL_DIRECTIONS[wall], lengths[pairs, wall], WALL_THICKNESS_M
+            )
         if self.n_obstacles:
-            is_obstacle = target >= self._first_obstacle
             number = target[is_obstacle] - self._first_obstacle
             places = state.obstacles[scene[is_obstacle], number]
             direction = np.tile([1.0, 0.0], (len(places), 1))
             target_corners[is_obstacle] = corners(places, direction, OBSTACLE_M, OBSTACLE_M)
         if self.count:
-            is_vehicle = target < self.count
             index = scene[is_vehicle], target[is_vehicle]
             heading = state.vehicle_heading[index]
             direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -262,6 +265,8 @@ class Collisions:
         right_above = reach + state.position + np.maximum(motion, 0)
         outward = np.concatenate((left_below, right_above))[OUTWARD]
         scene, wall = np.nonzero((outward > state.free[WALL_ACROSS]).T)
+        if not len(scene):
+            return scene, wall
         walls, lengths = walls_of(state.free[:, scene])
         pairs = np.arange(len(scene))
         offset = walls[pairs, wall] - state.position.take(scene, axis=1).T

@@ -7,6 +7,7 @@ import numpy as np
 
 from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 from parking_exp.tasks.parking.nearby_vehicles import FAR_M
+from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
 COLUMNS = ("position", "direction", "free")
@@ -17,6 +18,8 @@ class SceneState:
     """The complete state of n scenes. Scenes are rows, or columns of `COLUMNS`."""
 
     goal: np.ndarray  # pose of the goal slots, shape (n, 3) [m, m, rad]
+    # x, y, vx, vy, cos_h, sin_h of the goals in units of the observation, shape (n, 6)
+    goal_features: np.ndarray
     slot_size: np.ndarray  # length and width of the goal slots, shape (n, 2) [m]
     free: np.ndarray  # half the space between the walls' inner faces, shape (2, n) [m]
     position: np.ndarray  # of the cars, shape (2, n) [m]
@@ -39,12 +42,14 @@ class SceneState:
     def at_start(cls, scenes: Scenes) -> Self:
         """Return the state in which scenes start."""
         n, count = scenes.vehicles.shape
+        goal = scenes.goal_pose
         vehicle_pose = scenes.vehicle_pose
         vehicles = vehicle_pose[..., :2]
         row, vehicle = np.nonzero(scenes.vehicles == NO_SLOT)
         vehicles[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other
         return cls(
-            goal=scenes.goal_pose,
+            goal=goal,
+            goal_features=goal_features(goal),
             slot_size=scenes.slot_size.copy(),
             free=(scenes.box.T - WALL_THICKNESS_M) / 2,
             position=scenes.start[:, :2].T.copy(),
@@ -74,3 +79,15 @@ class SceneState:
         """Replace the state of some scenes."""
         for name, array in vars(self).items():
             array[(slice(None), rows) if name in COLUMNS else rows] = getattr(other, name)
+
+
+def goal_features(pose: np.ndarray) -> np.ndarray:
+    """Return x, y, vx, vy, cos_h, sin_h of standing goals, in units of the observation.
+
+    Poses have the shape (n, 3), the result (n, 6).
+    """
+    features = np.zeros((len(pose), len(DEFAULT_FEATURES)))
+    features[:, :2] = pose[:, :2]
+    features[:, 4] = np.cos(pose[:, 2])
+    features[:, 5] = np.sin(pose[:, 2])
+    return features / np.array(DEFAULT_SCALES, np.float64)

@@ -20,7 +20,7 @@ from parking_exp.tasks.parking.geometry import (
 )
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
-from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES, ParkingConfig
+from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES, ParkingConfig
 from parking_exp.tasks.parking.pose import Pose, relative_pose
 from parking_exp.tasks.parking.rays import ray_distances, rectangles_of
 from parking_exp.tasks.parking.reward import reward_of
@@ -64,7 +64,7 @@ class Simulator:
         self.rays = config.observation.rays
         self.rays_range_m = config.observation.rays_range_m
         self.scales = np.array(DEFAULT_SCALES, np.float64)
-        self._row_m = lot_of(config).row_m
+        self._row_m = lot_of(config).nearest_row_m
         self._collisions = Collisions(
             self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls
         )
@@ -100,7 +100,7 @@ class Simulator:
         return {
             "observation": np.concatenate(seen, axis=1),
             "achieved_goal": scaled,
-            "desired_goal": self._goals(rows),
+            "desired_goal": self.state.goal_features[rows].copy(),
         }
 
     def _observe_vehicles(self, pose: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
@@ -303,18 +303,6 @@ class Simulator:
         pose[4:] = state.direction[:, rows]
         np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
         return pose.T
-
-    def _goals(self, rows: np.ndarray | slice) -> np.ndarray:
-        """Return x, y, vx, vy, cos_h, sin_h of the goals, shape (n, 6), in units of the
-        observation.
-        """
-        pose = self.state.goal[rows]
-        goals = np.zeros((len(pose), len(DEFAULT_FEATURES)))
-        goals[:, :2] = pose[:, :2]
-        goals[:, 4] = np.cos(pose[:, 2])
-        goals[:, 5] = np.sin(pose[:, 2])
-        goals /= self.scales
-        return goals
 
     def _outcome(self) -> Step:
         state = self.state
