@@ -34,6 +34,12 @@ _START_SLOTS = tuple(
 _START_HEADINGS = SLOT_HEADINGS[list(_START_SLOTS), None]
 _START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
 
+# The geometry of any number of scenes of highway-env's lot: views, which take no memory.
+_MOST_SCENES = 10**7
+_ALL_SLOTS = np.broadcast_to(SLOT_POSES, (_MOST_SCENES, *SLOT_POSES.shape))
+_ALL_SLOT_SIZES = np.broadcast_to((SLOT_LENGTH_M, SLOT_WIDTH_M), (_MOST_SCENES, 2))
+_ALL_BOXES = np.broadcast_to((LOT_LENGTH_M, LOT_WIDTH_M), (_MOST_SCENES, 2))
+
 
 @dataclass(frozen=True)
 class Scenes:
@@ -64,7 +70,7 @@ class Scenes:
     @property
     def vehicle_pose(self) -> np.ndarray:
         """Poses of the parked cars' slots, shape (n, vehicles, 3); of any slot for NO_SLOT."""
-        return np.take_along_axis(self.slots, self.vehicles[..., None] % self.slots.shape[1], 1)
+        return self.slots[np.arange(len(self))[:, None], self.vehicles]
 
     @staticmethod
     def from_seeds(
@@ -129,9 +135,9 @@ class Scenes:
             goal=taken[:, 1],
             vehicles=vehicles,
             obstacles=obstacles,
-            slots=np.broadcast_to(SLOT_POSES, (n, *SLOT_POSES.shape)),
-            slot_size=np.tile([SLOT_LENGTH_M, SLOT_WIDTH_M], (n, 1)),
-            box=np.tile([LOT_LENGTH_M, LOT_WIDTH_M], (n, 1)),
+            slots=_ALL_SLOTS[:n],
+            slot_size=_ALL_SLOT_SIZES[:n],
+            box=_ALL_BOXES[:n],
         )
 
 

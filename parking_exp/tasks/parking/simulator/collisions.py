@@ -100,13 +100,22 @@ def extent(direction: np.ndarray) -> np.ndarray:
     return reach
 
 
-def walls_of(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centres of the four walls, shape (n, 4, 2), and their lengths, shape (n, 4) [m].
+def walls_of(free: np.ndarray, wall: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres and lengths of walls [m].
 
-    `free` is half the space between their inner faces, shape (2, n).
+    Args:
+        free: half the space between their inner faces, shape (2, n) [m].
+        wall: the number of one wall for each scene, shape (n,); None for all four.
+
+    Returns:
+        Centres of shape (n, 2) and lengths of shape (n,), or (n, 4, 2) and (n, 4) for all walls.
     """
     half = (free + WALL_THICKNESS_M / 2).T
-    return half[:, None] * WALL_SIDES, 2 * half[:, WALL_ALONG]
+    if wall is None:
+        half = half[:, None]
+        wall = np.arange(N_WALLS)
+    lengths = 2 * np.where(WALL_ALONG[wall] == 0, half[..., 0], half[..., 1])
+    return half * WALL_SIDES[wall], lengths
 
 
 def diagonals(length: np.ndarray) -> np.ndarray:
@@ -217,10 +226,9 @@ class Collisions:
         target_corners = np.empty((len(scene), 4, 2))
         wall = target[is_wall] - self.count
         if len(wall):
-            walls, lengths = walls_of(state.free[:, scene[is_wall]])
-            pairs = np.arange(len(wall))
+            centres, lengths = walls_of(state.free[:, scene[is_wall]], wall)
             target_corners[is_wall] = corners(
-                walls[pairs, wall], WALL_DIRECTIONS[wall], lengths[pairs, wall], WALL_THICKNESS_M
+                centres, WALL_DIRECTIONS[wall], lengths, WALL_THICKNESS_M
             )
         if self.n_obstacles:
             number = target[is_obstacle] - self._first_obstacle
@@ -267,11 +275,9 @@ class Collisions:
         scene, wall = np.nonzero((outward > state.free[WALL_ACROSS]).T)
         if not len(scene):
             return scene, wall
-        walls, lengths = walls_of(state.free[:, scene])
-        pairs = np.arange(len(scene))
-        offset = walls[pairs, wall] - state.position.take(scene, axis=1).T
-        diagonal = diagonals(lengths[pairs, wall])
-        near = ~out_of_reach(offset, CAR_DIAGONAL_M, diagonal, travel[scene])
+        centres, lengths = walls_of(state.free[:, scene], wall)
+        offset = centres - state.position.take(scene, axis=1).T
+        near = ~out_of_reach(offset, CAR_DIAGONAL_M, diagonals(lengths), travel[scene])
         return scene[near], wall[near]
 
 

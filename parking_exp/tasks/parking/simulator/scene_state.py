@@ -10,6 +10,7 @@ from parking_exp.tasks.parking.nearby_vehicles import FAR_M
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
+SCALES = np.array(DEFAULT_SCALES, np.float64)
 COLUMNS = ("position", "direction", "free")
 
 
@@ -90,4 +91,5 @@ def goal_features(pose: np.ndarray) -> np.ndarray:
     features[:, :2] = pose[:, :2]
     features[:, 4] = np.cos(pose[:, 2])
     features[:, 5] = np.sin(pose[:, 2])
-    return features / np.array(DEFAULT_SCALES, np.float64)
+    features /= SCALES
+    return features
