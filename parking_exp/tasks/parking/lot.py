@@ -10,9 +10,8 @@ from parking_exp.tasks.parking.lot_config import GAP_M, TINY, LotConfig, bounds
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
-N_LENGTHS = (
-    3  # numbers of a lot that scenes draw: length and width of the slots, width of the aisle
-)
+# Numbers of a lot that scenes draw: length and width of the slots, width of the aisle.
+N_LENGTHS = 3
 
 
 @dataclass(frozen=True)
@@ -119,9 +118,10 @@ class ParametricLot:
         angle = np.radians(config.angle_deg)
         sin = np.sin(angle)
         cos = np.cos(angle)
-        pitch = np.full(len(aisle), config.pitch_m)
         if config.pitch_m is None:
             pitch = config.closest_pitch_m(slot_length, slot_width)
+        else:
+            pitch = np.full(len(aisle), config.pitch_m)
         depth = slot_length * sin + slot_width * cos
         half_row = (slot_length * cos + slot_width * sin + (config.slots_per_row - 1) * pitch) / 2
 
