@@ -45,6 +45,14 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
         "simulator.crowded.8_seen.n512.ratio": Figure(
             ">=", 2500, partial(simulation.stepping, "parking_crowded", 512, rounds, step_s, seen=8)
         ),
+        "simulator.parallel.n512.ratio": Figure(
+            ">=", 2000, partial(simulation.stepping, "parking_parallel", 512, rounds, step_s)
+        ),
+        "simulator.parallel.32_rays.n512.ratio": Figure(
+            ">=",
+            1000,
+            partial(simulation.stepping, "parking_parallel", 512, rounds, step_s, rays=32),
+        ),
         "evaluation.500_scenes.wall_s": Figure(
             "<=", 1, partial(simulation.evaluation, 50 if quick else 500, rounds)
         ),

@@ -11,13 +11,18 @@ from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.evaluation.agents import load_model
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.tasks.parking.highway import make_env
-from parking_exp.tasks.parking.scenes import Scenes
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
 
 
 def stepping(
-    option: str, n_scenes: int, rounds: int, seconds_per_side: float, seen: int = 0
+    option: str,
+    n_scenes: int,
+    rounds: int,
+    seconds_per_side: float,
+    seen: int = 0,
+    rays: int = 0,
 ) -> dict[str, Any]:
     """Compare steps per second with uniformly random actions; ended episodes are restarted.
 
@@ -27,11 +32,14 @@ def stepping(
         rounds: number of measurements of each side.
         seconds_per_side: length of a measurement.
         seen: other vehicles in our observation; highway-env's has none.
+        rays: distances in both observations.
     """
-    env: Any = compose(f"env={option}", f"env.observation.vehicles_count={seen}").env
+    overrides = [f"env={option}", f"env.observation.rays={rays}"]
+    env: Any = compose(*overrides, f"env.observation.vehicles_count={seen}").env
+    lot = lot_of(env)
     rng = np.random.default_rng(0)
-    simulator = Simulator(env, Scenes.random(rng, n_scenes, env.vehicles_range))
-    unseen: Any = compose(f"env={option}").env
+    simulator = Simulator(env, lot.random(rng, n_scenes))
+    unseen: Any = compose(*overrides, "env.observation.vehicles_count=0").env
     peer = make_env(unseen)
     actions = rng.uniform(-1, 1, (256, n_scenes, 2)).astype(np.float32)
     peer.reset(seed=0)
@@ -40,7 +48,7 @@ def stepping(
         ended = simulator.step(actions[step % 256])
         rows = np.flatnonzero(ended.terminated | ended.truncated)
         if len(rows):
-            simulator.start(Scenes.random(rng, len(rows), env.vehicles_range), rows)
+            simulator.start(lot.random(rng, len(rows)), rows)
 
     def ours() -> float:
         steps, until = 0, time.perf_counter() + seconds_per_side
