@@ -33,7 +33,7 @@ def make_lot(
 
     Args:
         env: such as `parking_parallel`.
-        level: one of the option's levels; None: its first.
+        level: one of the option's levels; None: easy.
         render_mode: None or `rgb_array`.
         overrides: of the config, as in commands, for example `["env.lot.aisle_width_m=6"]`.
 

@@ -16,7 +16,7 @@ from parking_exp.tasks.parking.lot import ParametricLot
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
-from parking_exp.tasks.parking.simulator.collisions import walls_of
+from parking_exp.tasks.parking.simulator.collisions import diagonals, walls_of
 
 LINES = (LineType.CONTINUOUS, LineType.CONTINUOUS)
 
@@ -73,13 +73,12 @@ class LotEnv(ParkingEnv):
             self._create_walls()
 
     def _create_walls(self) -> None:
-        free = (self.scene.box.T - WALL_THICKNESS_M) / 2
-        places, lengths = walls_of(free)
+        places, lengths = walls_of(self.scene.free)
         for place, length, heading in zip(places[0], lengths[0], WALL_HEADINGS, strict=True):
             wall = Obstacle(self.road, place, heading)
             wall.LENGTH = length
             wall.WIDTH = WALL_THICKNESS_M
-            wall.diagonal = np.sqrt(length**2 + WALL_THICKNESS_M**2)
+            wall.diagonal = diagonals(length)
             self.road.objects.append(wall)
 
     def compute_reward(

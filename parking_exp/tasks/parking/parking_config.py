@@ -31,10 +31,6 @@ RAYS_RANGE_M = 10.0  # of the config and of the wrapper, unless another is given
 MAX_VEHICLES = 26  # slots but for those of start and goal
 
 
-def _is_none(value: Any) -> bool:
-    return value is None
-
-
 def _check_vehicles_count(value: Any) -> Any:
     """Refuse what is neither a number of cars nor a range."""
     low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
@@ -95,9 +91,9 @@ class ParkingConfig(TaskConfig):
     training_success_goal_reward: PositiveFloat | None
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
     # None: highway-env's own lot. Left out of stored configs then.
-    lot: Annotated[LotConfig | None, Field(exclude_if=_is_none)] = None
+    lot: Annotated[LotConfig | None, Field(exclude_if=not_)] = None
     # `lot` takes its numbers from one of the levels, by interpolation.
-    level: Annotated[str | None, Field(exclude_if=_is_none)] = None
+    level: Annotated[str | None, Field(exclude_if=not_)] = None
     levels: Annotated[dict[str, dict[str, Any]] | None, Field(exclude=True)] = None
 
     observation: ObservationConfig

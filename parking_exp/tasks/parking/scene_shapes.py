@@ -1,4 +1,4 @@
-"""What is on the lot of a scene, as plain rectangles for drawing."""
+"""Rectangles of a scene, for drawings: slots, cars, walls and obstacles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,14 +50,13 @@ def scene_shapes(scenes: Scenes, row: int, *, walls: bool) -> SceneShapes:
         goal=slots[scenes.goal[row]],
         slots=slots,
         parked_cars=_rectangles(cars, CAR_LENGTH_M, CAR_WIDTH_M),
-        walls=_walls(scenes.box[row]) if walls else [],
+        walls=_walls(scenes.free[:, [row]]) if walls else [],
         obstacles=_rectangles(obstacles, OBSTACLE_M, OBSTACLE_M),
     )
 
 
-def _walls(box: np.ndarray) -> list[Rectangle]:
-    """Return the walls of a box; its size has the shape (2,) [m]."""
-    free = (box[:, None] - WALL_THICKNESS_M) / 2
+def _walls(free: np.ndarray) -> list[Rectangle]:
+    """Return the walls around half a space of shape (2, 1) [m]."""
     (centres,), (lengths,) = walls_of(free)
     poses = np.concatenate([centres, WALL_HEADINGS[:, None]], axis=1)
     return _rectangles(poses, lengths, WALL_THICKNESS_M)

@@ -18,6 +18,7 @@ from parking_exp.tasks.parking.geometry import (
     SLOT_POSITIONS,
     SLOT_WIDTH_M,
     SLOTS_PER_ROW,
+    WALL_THICKNESS_M,
 )
 
 NO_SLOT = -1  # of a car that is absent, where a scene has fewer than others
@@ -61,6 +62,11 @@ class Scenes:
     def heading(self) -> np.ndarray:
         """The car's heading at the start, shape (n,) [rad]."""
         return self.start[:, 2]
+
+    @property
+    def free(self) -> np.ndarray:
+        """Half the space between the walls' inner faces, shape (2, n) [m]."""
+        return (self.box.T - WALL_THICKNESS_M) / 2
 
     @property
     def goal_pose(self) -> np.ndarray:

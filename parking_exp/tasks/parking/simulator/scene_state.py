@@ -5,7 +5,6 @@ from typing import Self
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 from parking_exp.tasks.parking.nearby_vehicles import FAR_M
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
@@ -52,7 +51,7 @@ class SceneState:
             goal=goal,
             goal_features=goal_features(goal),
             slot_size=scenes.slot_size.copy(),
-            free=(scenes.box.T - WALL_THICKNESS_M) / 2,
+            free=scenes.free,
             position=scenes.start[:, :2].T.copy(),
             heading=scenes.heading.copy(),
             direction=np.array([np.cos(scenes.heading), np.sin(scenes.heading)]),
