@@ -135,9 +135,9 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     goal's heading, seen from the goal (10 m), and its velocity in these directions (observation
     units); the goal ahead and to the side, and the car along and across, as tanh of their distance
     / 2 m; the root of the weighted distance, which is minus the dense reward of parking-v0; the
-    goal's signed speed (observation units); of each vehicle those of `EgoFrameExtractor`, ahead and to the side
-    as tanh of the distance / 4 m, and along and across the goal's heading, seen from the goal, as
-    tanh of the distance / 4 m; the rays.
+    goal's signed speed (observation units); of each vehicle those of `EgoFrameExtractor`, ahead and
+    to the side as tanh of the distance / 4 m, and along and across the goal's heading, seen from
+    the goal, as tanh of the distance / 4 m; the rays.
 
     Args:
         observation_space: of the env.
