@@ -12,9 +12,12 @@ from typing import Any
 import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_getattr
+from torch import nn
 
 from parking_exp.algorithms.policy_files import ACTOR
 from parking_exp.errors import ModelError, one_line
+
+ENTROPY = "log_ent_coef"  # of SAC, TQC and CrossQ that tune it
 
 
 def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -39,6 +42,29 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
         ) from error
 
 
+def load_networks(path: Path, model: OffPolicyAlgorithm) -> None:
+    """Load all networks of a model, and its entropy coefficient if both files tune one.
+
+    Optimizers are left as they are.
+
+    Raises:
+        ModelError: the file is damaged, or a network in it has other layers.
+    """
+    weights, variables = read_weights(path, model.device)
+    names, tensors = model._get_torch_save_params()
+    for name in names:
+        part = recursive_getattr(model, name)
+        if not isinstance(part, nn.Module):
+            continue
+        stored = weights.get(name, {})
+        problem = _misfit(stored, part)
+        if problem is not None:
+            raise ModelError(f"{path} has other networks: its layer {problem}")
+        part.load_state_dict(stored)
+    if ENTROPY in variables and ENTROPY in tensors:
+        recursive_getattr(model, ENTROPY).data.copy_(variables[ENTROPY])
+
+
 def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
     """Load the actor of a model file, of which nothing else has to fit.
 
@@ -47,17 +73,13 @@ def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
     """
     actor = model.policy.get_submodule("actor")
     weights = read_actor(path, model.device)
-    stored = _shapes(weights)
-    expected = _shapes(actor.state_dict())
-    for name in [*expected, *stored]:
-        shape = stored.get(name, "missing")
-        expected_shape = expected.get(name, "missing")
-        if shape != expected_shape:
-            raise ModelError(
-                f"{path} does not fit: its layer actor.{name} is {shape}, not {expected_shape}; "
-                "name the env that it was trained on (env=NAME), and its algorithm and policy "
-                "(algorithm=NAME algorithm.policy_kwargs.NAME=VALUE)"
-            )
+    problem = _misfit(weights, actor)
+    if problem is not None:
+        raise ModelError(
+            f"{path} does not fit: its layer actor.{problem}; "
+            "name the env that it was trained on (env=NAME), and its algorithm and policy "
+            "(algorithm=NAME algorithm.policy_kwargs.NAME=VALUE)"
+        )
     actor.load_state_dict(weights)
 
 
@@ -72,6 +94,18 @@ def read_actor(path: Path, device: torch.device | str) -> dict[str, torch.Tensor
         if str(name).startswith(ACTOR) and isinstance(weight, torch.Tensor):
             actor[name.removeprefix(ACTOR)] = weight
     return actor
+
+
+def _misfit(weights: Mapping[str, torch.Tensor], network: nn.Module) -> str | None:
+    """Return the first layer whose weights do not fit a network, and how; None if all do."""
+    stored = _shapes(weights)
+    expected = _shapes(network.state_dict())
+    for name in [*expected, *stored]:
+        shape = stored.get(name, "missing")
+        expected_shape = expected.get(name, "missing")
+        if shape != expected_shape:
+            return f"{name} is {shape}, not {expected_shape}"
+    return None
 
 
 def _shapes(weights: Mapping[str, torch.Tensor]) -> dict[str, str]:

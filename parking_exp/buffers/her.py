@@ -183,6 +183,19 @@ class HerBuffer(DictReplayBuffer):
         self.storage.set_state(state)
         self._update_position()
 
+    def set_transitions(self, state: Mapping[str, np.ndarray]) -> None:
+        """Take over the transitions of a state, whose episodes under way end there.
+
+        They count as timeouts, since they did not terminate. The generator stays this buffer's own.
+
+        Raises:
+            ValueError: the transitions have other fields, or are of another number of envs.
+        """
+        self.storage.set_state(state)
+        for env in np.flatnonzero(self.episodes.current != NO_EPISODE).tolist():
+            self.episodes.finish(env)
+        self._update_position()
+
     def _update_position(self) -> None:
         self.pos = self.episodes.steps % self.buffer_size
         self.full = self.episodes.steps >= self.buffer_size

@@ -121,9 +121,16 @@ class Storage:
         return {"rows": rows, "compact": np.array(self.compact), **self.episodes.get_state()}
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
-        """Restore a state of as many rows and envs."""
+        """Restore a state of as many rows and envs.
+
+        Raises:
+            ValueError: its transitions have other fields, or are of another number of envs.
+        """
         self._allocate(bool(state["compact"]))
-        self.data[: len(state["rows"])] = state["rows"]
+        rows = state["rows"]
+        if rows.dtype != self.data.dtype or rows.shape[1:] != self.data.shape[1:]:
+            raise ValueError("its transitions have other fields")
+        self.data[: len(rows)] = rows
         self.episodes.set_state(state)
 
     def _allocate(self, compact: bool) -> None:

@@ -20,6 +20,8 @@ MAX_ROUND = 1000
 def check_rules(run: RunConfig) -> Iterator[str]:
     """Yield a sentence for each rule between keys that the config violates."""
     yield from run.env.problems()
+    if run.init_buffer and run.init is None:
+        yield "init_buffer=true needs init=RUN, whose replay buffer it takes"
     for check in (_check_buffer, _check_algorithm, _check_evaluation):
         yield from check(run)
 
@@ -45,7 +47,8 @@ def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
     is_her = run.buffer.class_name in HER_CLASSES or any(name in buffer for name in HER_OPTIONS)
     default_strategy = "future" if is_her else None
     relabels = buffer.get("goal_selection_strategy", default_strategy) is not None
-    if relabels and (not isinstance(starts, int) or starts < n_steps):
+    # A replay buffer that was taken over has finished episodes.
+    if relabels and not run.init_buffer and (not isinstance(starts, int) or starts < n_steps):
         key = "algorithm.learning_starts"
         if starts is not None:
             key += f"={starts}"

@@ -13,6 +13,7 @@ NO_EFFECT = (
     "timeout_s",
     "contrasts",
     "label",
+    "init_latest",
     "evaluation.video_episodes",
 )
 

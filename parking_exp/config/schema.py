@@ -198,6 +198,9 @@ class RunConfig(OutputConfig):
     contrasts: list[Annotated[list[str], Field(min_length=2, max_length=2)]] | None = None
     label: str | None = None
     callbacks: list[Node] | None = None
+    init: Annotated[str, Field(min_length=1)] | None = None
+    init_latest: bool = False  # in a planned run: its `init` was `latest` when it was planned
+    init_buffer: bool = False
     env: EnvConfig
     algorithm: AlgorithmConfig
     buffer: BufferConfig

@@ -87,25 +87,27 @@ def find_agent(
     *,
     trust: bool = False,
     trust_option: str = "trust=true",
+    key: str = "run",
 ) -> Agent:
     """Find a trained agent; arguments and errors are those of `load_model`.
 
-    `trust_option` is what the caller's user types to trust it, for a message.
+    For messages, `trust_option` is what the caller's user types to trust it, and `key` the key that
+    has its name.
     """
     if is_pretrained(run):
-        return _find_pretrained(run, output_dir, model)
+        return _find_pretrained(run, output_dir, model, key)
     others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in PRETRAINED_NAMES)]
-    directory = find_run(run, output_dir, having=f"models/{model}.zip", others=others)
+    directory = find_run(run, output_dir, having=f"models/{model}.zip", others=others, key=key)
     weights = directory.models / f"{model}.zip"
     if not weights.is_file():
         raise RunNotFoundError(
-            f"run={run}: {weights} does not exist; the run is {directory.status}"
+            f"{key}={run}: {weights} does not exist; the run is {directory.status}"
         )
     config = directory.config()
     directory.check_links()
     if run == LATEST:
         say(
-            f"run=latest     {run_name(read_state(directory.path))} of "
+            f"{f'{key}=latest':<15}{run_name(read_state(directory.path))} of "
             f"experiment={config.experiment_name}"
         )
     if not trust and not was_trained_here(directory.path):
@@ -164,15 +166,20 @@ def is_pretrained(run: str) -> bool:
     return run.partition("/")[0] == PRETRAINED
 
 
-def _find_pretrained(run: str, output_dir: Path, model: ModelName) -> Agent:
-    name = run.partition("/")[2] or "default"
+def pretrained_name(run: str) -> str:
+    """Return which agent of this package a name means."""
+    return run.partition("/")[2] or "default"
+
+
+def _find_pretrained(run: str, output_dir: Path, model: ModelName, key: str) -> Agent:
+    name = pretrained_name(run)
     if name not in PRETRAINED_NAMES:
         raise RunNotFoundError(
-            f"run={run}: no such pretrained agent; choose from {', '.join(PRETRAINED_NAMES)}"
+            f"{key}={run}: no such pretrained agent; choose from {', '.join(PRETRAINED_NAMES)}"
         )
     if model != "final":
         raise RunNotFoundError(
-            f"run={run}: a pretrained agent has no model={model}; use model=final"
+            f"{key}={run}: a pretrained agent has no model={model}; use model=final"
         )
     folder = PRETRAINED_DIR / name
     config = read_config(folder, output_dir)

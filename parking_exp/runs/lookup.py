@@ -43,7 +43,9 @@ def _distinct(folder: Path, *patterns: str) -> list[Path]:
     return sorted(by_place.values())
 
 
-def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = ()) -> RunDirectory:
+def find_run(
+    name: str, output_dir: Path, having: str, others: Sequence[str] = (), key: str = "run"
+) -> RunDirectory:
     """Find a run by its directory, its MLflow run id, or `latest`.
 
     Args:
@@ -51,6 +53,7 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
         output_dir: where it is looked for.
         having: a file of runs; `latest` is the one whose file was written last.
         others: other valid names, for suggestions.
+        key: of the config that has the name, for messages.
 
     Raises:
         RunNotFoundError: no run matches; the message suggests the closest valid name.
@@ -66,7 +69,7 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
         return RunDirectory(latest.absolute())
     if name == LATEST and runs:
         raise RunNotFoundError(
-            f"run=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} yet"
+            f"{key}=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} yet"
         )
     ids: dict[str, Path] = {}
     for path in runs:
@@ -81,8 +84,8 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
         choices.insert(0, LATEST)
     hint = did_you_mean(name, choices)
     if not hint:
-        hint = f"; write run={choices[0]}" if choices else "; train one first"
+        hint = f"; write {key}={choices[0]}" if choices else "; train one first"
     raise RunNotFoundError(
-        f"run={name} is neither a run directory nor the MLflow run id of a run in "
+        f"{key}={name} is neither a run directory nor the MLflow run id of a run in "
         f"{output_dir}{hint}"
     )

@@ -75,6 +75,7 @@ class StatusEntries(_Entries):
     trial: BoundedCount | None = None
     cell_number: BoundedCount | None = None
     evaluation: dict[str, BoundedCount] | None = None
+    init_sha256: str | None = None
 
 
 class HeartbeatEntries(_Entries):

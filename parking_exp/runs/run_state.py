@@ -28,6 +28,7 @@ OWN = (
     "search",
     "cell_number",
     "evaluation",
+    "init_sha256",
 )
 
 

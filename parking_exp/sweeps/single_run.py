@@ -12,6 +12,7 @@ from parking_exp.config.cell_labels import label_cells, settings_of
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
+from parking_exp.evaluation.initial_agents import name_source
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_plans import make_pending
 from parking_exp.terminal import is_script, say, unfailing_output
@@ -19,6 +20,7 @@ from parking_exp.tracking.store_writer import StoreWriter
 from parking_exp.tracking.sync import follow_store, sync_hint
 from parking_exp.training.signals import stop_on_signal
 from parking_exp.training.train_run import check_device, train_run
+from parking_exp.training.warm_start import check_sources
 
 
 def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
@@ -34,7 +36,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
     with unfailing_output():
-        return _train(validate(config))
+        return _train(name_source(validate(config)))
 
 
 def _train(config: RunConfig) -> RunResult:
@@ -42,6 +44,7 @@ def _train(config: RunConfig) -> RunResult:
     writer = StoreWriter([config], partial(say, stderr=True))
     if directory.result() is None or directory.needs_evaluation(config):
         check_device(config.device)
+        check_sources([config])
     with directory.supervisor_lock(), directory.training_lock():
         reason = _reason_to_keep(directory, config)
         if reason is None:

@@ -19,6 +19,7 @@ from parking_exp.config.compose import ComposedRun
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError, FailedRunError, plural
+from parking_exp.evaluation.initial_agents import name_source
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import RunState, Stage, count_stages, read_state
@@ -78,7 +79,8 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
     # A cell is checked once for all its seeds.
     unique = {id(run.cell): run.cell for run in composed}
-    configs = dict(zip(unique, validate_all(unique.values()), strict=True))
+    checked = map(name_source, validate_all(unique.values()))
+    configs = dict(zip(unique, checked, strict=True))
     folders = {cell: config.run_dir.parent for cell, config in configs.items()}
     _refuse_two_evaluations(zip(folders.values(), configs.values(), strict=True))
 
@@ -184,6 +186,9 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         FailedRunError: not all runs are done at the end.
         InterruptedRunError: a signal stopped it.
     """
+    from parking_exp.training.warm_start import check_sources  # imports torch
+
+    check_sources(run.config for run in runs if run.is_due)
     out = console()
     print_plan(runs, out)
     if dry_run:

@@ -24,7 +24,7 @@ DIGEST = "mirrored"
 STARTED = "started_ms"
 STATUS = "status"
 OUTPUT_ID = "output_id"
-FROM_STATUS = ("command", "search", "trial")
+FROM_STATUS = ("command", "search", "trial", "init_sha256")
 MAX_ERROR_LENGTH = 500
 
 

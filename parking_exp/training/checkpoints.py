@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.her import HerReplayBuffer
 
 from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.algorithms.model_files import load_weights
@@ -209,6 +210,21 @@ def _buffer_state(buffer: ReplayBuffer | None) -> dict[str, np.ndarray]:
         is_by_step = len(array) == buffer.buffer_size
         state[name] = array[: buffer.size()] if is_by_step else array
     return state
+
+
+def load_transitions(path: Path, buffer: ReplayBuffer | None) -> None:
+    """Give a fresh buffer the transitions of a checkpoint's, whose episodes under way end there.
+
+    Raises:
+        ValueError: it does not fit the buffer.
+    """
+    if isinstance(buffer, HerBuffer):
+        with np.load(path, allow_pickle=False) as stored:
+            buffer.set_transitions(stored)
+        return
+    _load_buffer(buffer, path)
+    if isinstance(buffer, HerReplayBuffer):
+        buffer.truncate_last_trajectory()
 
 
 def _load_buffer(buffer: ReplayBuffer | None, path: Path) -> None:

@@ -31,7 +31,7 @@ from parking_exp.runs.run_state import read_state
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-from parking_exp.training import checkpoints, rollout_state
+from parking_exp.training import checkpoints, rollout_state, warm_start
 from parking_exp.training.checkpoints import SavedProgress, save_model
 from parking_exp.training.loggers import make_logger
 from parking_exp.training.progress import TrainingProgress
@@ -94,6 +94,8 @@ class TrainingLoop:
         if checkpoint is None:
             # Of an attempt that was killed before its first checkpoint.
             self._best.unlink(missing_ok=True)
+            if config.init is not None:
+                directory.update(init_sha256=warm_start.start(config, self.model))
         else:
             self._rollout_state = checkpoints.restore(
                 checkpoint, self.model, self.average, self._best
