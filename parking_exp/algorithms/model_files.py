@@ -12,12 +12,11 @@ from typing import Any
 import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_getattr
-from torch import nn
 
-from parking_exp.algorithms.policy_files import ACTOR
+from parking_exp.algorithms.policy_files import ACTOR, misfit
 from parking_exp.errors import ModelError, one_line
 
-ENTROPY = "log_ent_coef"  # of SAC, TQC and CrossQ that tune it
+ENTROPY = "log_ent_coef"  # of SAC, TQC and CrossQ; None if it is not tuned
 
 
 def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -43,26 +42,22 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
 
 
 def load_networks(path: Path, model: OffPolicyAlgorithm) -> None:
-    """Load all networks of a model, and its entropy coefficient if both files tune one.
+    """Load all networks of a model, and the entropy coefficient if the file has a tuned one.
 
-    Optimizers are left as they are.
+    Optimizers, and an entropy coefficient that is not tuned, are left as they are.
 
     Raises:
-        ModelError: the file is damaged, or a network in it has other layers.
+        ModelError: the file is damaged, or its networks have other layers.
     """
     weights, variables = read_weights(path, model.device)
-    names, tensors = model._get_torch_save_params()
-    for name in names:
-        part = recursive_getattr(model, name)
-        if not isinstance(part, nn.Module):
-            continue
-        stored = weights.get(name, {})
-        problem = _misfit(stored, part)
-        if problem is not None:
-            raise ModelError(f"{path} has other networks: its layer {problem}")
-        part.load_state_dict(stored)
-    if ENTROPY in variables and ENTROPY in tensors:
-        recursive_getattr(model, ENTROPY).data.copy_(variables[ENTROPY])
+    networks = weights.get("policy", {})
+    problem = misfit(networks, model.policy)
+    if problem is not None:
+        raise ModelError(f"{path} does not fit: its layer {problem}")
+    model.policy.load_state_dict(networks)
+    coefficient = getattr(model, ENTROPY, None)
+    if coefficient is not None and ENTROPY in variables:
+        coefficient.data.copy_(variables[ENTROPY])
 
 
 def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -73,7 +68,7 @@ def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
     """
     actor = model.policy.get_submodule("actor")
     weights = read_actor(path, model.device)
-    problem = _misfit(weights, actor)
+    problem = misfit(weights, actor)
     if problem is not None:
         raise ModelError(
             f"{path} does not fit: its layer actor.{problem}; "
@@ -94,22 +89,6 @@ def read_actor(path: Path, device: torch.device | str) -> dict[str, torch.Tensor
         if str(name).startswith(ACTOR) and isinstance(weight, torch.Tensor):
             actor[name.removeprefix(ACTOR)] = weight
     return actor
-
-
-def _misfit(weights: Mapping[str, torch.Tensor], network: nn.Module) -> str | None:
-    """Return the first layer whose weights do not fit a network, and how; None if all do."""
-    stored = _shapes(weights)
-    expected = _shapes(network.state_dict())
-    for name in [*expected, *stored]:
-        shape = stored.get(name, "missing")
-        expected_shape = expected.get(name, "missing")
-        if shape != expected_shape:
-            return f"{name} is {shape}, not {expected_shape}"
-    return None
-
-
-def _shapes(weights: Mapping[str, torch.Tensor]) -> dict[str, str]:
-    return {name: f"of shape {tuple(weight.shape)}" for name, weight in weights.items()}
 
 
 def read_weights(path: Path, device: torch.device | str) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -4,13 +4,16 @@ Policies of different classes can have weights of the same names and shapes, so 
 names the classes of the policy and of its features extractor.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from torch import nn
 
-from parking_exp.errors import ModelError, one_line
+from parking_exp.errors import ModelError
 
 ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
 
@@ -25,7 +28,7 @@ def export_safetensors(model: OffPolicyAlgorithm) -> bytes:
 
 
 def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
-    """Give a model's actor the weights of a file; its critics stay as they are.
+    """Give a model's actor, and its target, the weights of a file; its critics stay as they are.
 
     Raises:
         ModelError: the file is damaged, or is the actor of another model.
@@ -41,10 +44,30 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
 
     if metadata != _metadata(model):
         raise ModelError(f"{path} is of another policy: {metadata}, not {_metadata(model)}")
-    try:
-        model.policy.get_submodule("actor").load_state_dict(weights)
-    except RuntimeError as error:
-        raise ModelError(f"{path} does not fit: {one_line(error)}") from error
+    for name in ("actor", "actor_target"):
+        network = getattr(model.policy, name, None)
+        if network is None:
+            continue
+        problem = misfit(weights, network)
+        if problem is not None:
+            raise ModelError(f"{path} does not fit: its layer {name}.{problem}")
+        network.load_state_dict(weights)
+
+
+def misfit(weights: Mapping[str, torch.Tensor], network: nn.Module) -> str | None:
+    """Return the first layer whose weights do not fit a network, and how; None if all do."""
+    stored = _shapes(weights)
+    expected = _shapes(network.state_dict())
+    for name in [*expected, *stored]:
+        shape = stored.get(name, "missing")
+        expected_shape = expected.get(name, "missing")
+        if shape != expected_shape:
+            return f"{name} is {shape}, not {expected_shape}"
+    return None
+
+
+def _shapes(weights: Mapping[str, torch.Tensor]) -> dict[str, str]:
+    return {name: f"of shape {tuple(weight.shape)}" for name, weight in weights.items()}
 
 
 def _metadata(model: OffPolicyAlgorithm) -> dict[str, str]:

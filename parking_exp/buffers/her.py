@@ -189,7 +189,7 @@ class HerBuffer(DictReplayBuffer):
         They count as timeouts, since they did not terminate. The generator stays this buffer's own.
 
         Raises:
-            ValueError: the transitions have other fields, or are of another number of envs.
+            ModelError: the transitions have other fields.
         """
         self.storage.set_state(state)
         for env in np.flatnonzero(self.episodes.current != NO_EPISODE).tolist():

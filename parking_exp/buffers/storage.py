@@ -9,6 +9,7 @@ from gymnasium import spaces
 from stable_baselines3.common.preprocessing import get_action_dim, get_obs_shape
 
 from parking_exp.buffers.episode_index import EpisodeIndex
+from parking_exp.errors import ModelError
 from parking_exp.tasks.task import Observation
 
 # Bits of `mark`. Above them is the id of the episode's record.
@@ -124,12 +125,12 @@ class Storage:
         """Restore a state of as many rows and envs.
 
         Raises:
-            ValueError: its transitions have other fields, or are of another number of envs.
+            ModelError: its transitions have other fields.
         """
         self._allocate(bool(state["compact"]))
         rows = state["rows"]
-        if rows.dtype != self.data.dtype or rows.shape[1:] != self.data.shape[1:]:
-            raise ValueError("its transitions have other fields")
+        if rows.dtype != self.data.dtype:
+            raise ModelError("the stored replay buffer has transitions with other fields")
         self.data[: len(rows)] = rows
         self.episodes.set_state(state)
 

@@ -166,13 +166,8 @@ def is_pretrained(run: str) -> bool:
     return run.partition("/")[0] == PRETRAINED
 
 
-def pretrained_name(run: str) -> str:
-    """Return which agent of this package a name means."""
-    return run.partition("/")[2] or "default"
-
-
 def _find_pretrained(run: str, output_dir: Path, model: ModelName, key: str) -> Agent:
-    name = pretrained_name(run)
+    name = run.partition("/")[2] or "default"
     if name not in PRETRAINED_NAMES:
         raise RunNotFoundError(
             f"{key}={run}: no such pretrained agent; choose from {', '.join(PRETRAINED_NAMES)}"

@@ -29,7 +29,8 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
     A run that is done returns its stored result.
 
     Raises:
-        ConfigError: the config cannot run; nothing is on disk.
+        ConfigError, ModelError: the config cannot run; nothing is on disk.
+        RunNotFoundError: there is no run that `init` names.
         OutputDirectoryError: the run directory can't be written.
         RunLockedError: another process is working on the same run.
         InterruptedRunError: SIGINT or SIGTERM; the state is saved.
@@ -42,9 +43,10 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
 def _train(config: RunConfig) -> RunResult:
     directory = RunDirectory(config.run_dir)
     writer = StoreWriter([config], partial(say, stderr=True))
+    if directory.result() is None:
+        check_sources([config])
     if directory.result() is None or directory.needs_evaluation(config):
         check_device(config.device)
-        check_sources([config])
     with directory.supervisor_lock(), directory.training_lock():
         reason = _reason_to_keep(directory, config)
         if reason is None:

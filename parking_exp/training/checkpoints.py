@@ -216,7 +216,7 @@ def load_transitions(path: Path, buffer: ReplayBuffer | None) -> None:
     """Give a fresh buffer the transitions of a checkpoint's, whose episodes under way end there.
 
     Raises:
-        ValueError: it does not fit the buffer.
+        ModelError: the transitions have other fields.
     """
     if isinstance(buffer, HerBuffer):
         with np.load(path, allow_pickle=False) as stored:

@@ -1,20 +1,19 @@
-"""Start a run from the weights, and the replay buffer, of another (`init`, `init_buffer`).
+"""Start a run from the networks, and the replay buffer, of another (`init`, `init_buffer`).
 
-The networks and a tuned entropy coefficient are taken over. Optimizers, schedules, counters and the
-average of the policy begin anew. So do the generators: runs of several seeds differ.
+Optimizers, schedules, counters, random generators and the average of the policy begin anew.
 """
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.model_files import load_networks
 from parking_exp.algorithms.policy_files import load_policy
+from parking_exp.config.cell_labels import differing_keys, settings_of
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, ModelError
+from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import Agent
 from parking_exp.evaluation.initial_agents import find_source
 from parking_exp.runs.atomic_files import sha256
@@ -23,12 +22,18 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import checkpoints
 
+# Networks that differ in these may have layers of the same shapes.
+OF_NETWORKS = ("_target_", "features", "normalize", "net_arch", "policy_kwargs")
+NETWORK_KEYS = tuple(f"algorithm.{name}" for name in OF_NETWORKS)
+BUFFER_KEYS = ("n_envs", "buffer._target_", "buffer.buffer_size")
+
 
 def check_sources(configs: Iterable[RunConfig]) -> None:
-    """Check the runs that others start from, where these have not begun; one model a cell is made.
+    """Check the sources of runs that have not begun; one model is built for each cell.
 
     Raises:
-        ConfigError: the networks or the replay buffer do not fit.
+        ConfigError: the networks or the replay buffer are of another kind or size.
+        ModelError: the networks have other layers.
         RunNotFoundError: there is no such run, or it has no final model yet.
     """
     checked = set()
@@ -37,102 +42,54 @@ def check_sources(configs: Iterable[RunConfig]) -> None:
         if config.init is None or has_begun:
             continue
         agent = find_source(config)
+        _refuse_differences(config, agent, NETWORK_KEYS)
         if config.init_buffer:
             _find_buffer(config, agent)
         if config.cell_key not in checked:
             checked.add(config.cell_key)
-            _check_networks(config, agent)
-
-
-def _check_networks(config: RunConfig, agent: Agent) -> None:
-    """Refuse networks of another kind, or with other layers."""
-    expected = _kind_of_networks(config)
-    for key, value in _kind_of_networks(agent.config).items():
-        if value != expected[key]:
-            raise ConfigError(
-                f"init={config.init}: its algorithm.{key} is {value}, and this run's is "
-                f"{expected[key]}; its networks do not fit"
-            )
-    task = make_task(config.env)
-    try:
-        model = build_model(config, task, task.prediction_env(), seed=0, for_training=False)
-        _load_networks(config, agent, model)
-    finally:
-        task.close()
-
-
-def _kind_of_networks(config: RunConfig) -> dict[str, Any]:
-    """Return what networks of the same layers may differ in."""
-    algorithm = config.algorithm
-    return {
-        "_target_": algorithm.class_name,
-        "features": algorithm.features,
-        "normalize": algorithm.normalize,
-        "net_arch": algorithm.net_arch,
-        "policy_kwargs": algorithm.arguments.get("policy_kwargs") or {},
-    }
+            task = make_task(config.env)
+            env = task.prediction_env()
+            _load_networks(agent, build_model(config, task, env, seed=0, for_training=False))
+            task.close()
 
 
 def start(config: RunConfig, model: OffPolicyAlgorithm) -> str:
-    """Give a fresh model the networks, and the replay buffer, of the run that it starts from.
+    """Give a fresh model what its run starts from, and return the SHA-256 of the file of weights.
 
-    Returns:
-        The SHA-256 of the file of the weights.
-
-    Raises:
-        ConfigError: the networks or the replay buffer do not fit.
-        RunNotFoundError: there is no such run, or it has no final model yet.
+    It raises what `check_sources` does, and ModelError if the replay buffer does not fit.
     """
     agent = find_source(config)
-    _load_networks(config, agent, model)
+    _load_networks(agent, model)
     if config.init_buffer:
-        file = _find_buffer(config, agent)
-        try:
-            checkpoints.load_transitions(file, model.replay_buffer)
-        except (LookupError, ValueError) as error:
-            raise ConfigError(
-                f"init_buffer=true: the replay buffer of init={config.init} does not fit: {error}"
-            ) from error
+        checkpoints.load_transitions(_find_buffer(config, agent), model.replay_buffer)
     return sha256(agent.weights)
 
 
-def _load_networks(config: RunConfig, agent: Agent, model: OffPolicyAlgorithm) -> None:
-    try:
-        if agent.directory is not None:
-            load_networks(agent.weights, model)
-            return
-        load_policy(agent.weights, model)
-    except ModelError as error:
-        raise ConfigError(f"init={config.init}: {error}") from error
-    # A pretrained agent is an actor alone.
-    actor: Any = model.policy.get_submodule("actor")
-    target = getattr(model.policy, "actor_target", None)
-    if target is not None:
-        target.load_state_dict(actor.state_dict())
+def _load_networks(agent: Agent, model: OffPolicyAlgorithm) -> None:
+    """Load all networks of a run; a pretrained agent is an actor alone."""
+    load = load_policy if agent.directory is None else load_networks
+    load(agent.weights, model)
 
 
 def _find_buffer(config: RunConfig, agent: Agent) -> Path:
-    """Return the file of an agent's last replay buffer.
-
-    Raises:
-        ConfigError: it has none, or one of another size.
-    """
-    for key, value, own in (
-        ("n_envs", agent.config.n_envs, config.n_envs),
-        ("buffer.buffer_size", agent.config.buffer.buffer_size, config.buffer.buffer_size),
-        ("buffer._target_", agent.config.buffer.class_name, config.buffer.class_name),
-    ):
-        if value != own:
-            raise ConfigError(
-                f"init_buffer=true: {key} of init={config.init} is {value}, and this run's is "
-                f"{own}; its replay buffer does not fit"
-            )
-    folder = None
+    """Return the file of an agent's last replay buffer; raises ConfigError if it does not fit."""
+    _refuse_differences(config, agent, BUFFER_KEYS)
+    checkpoint = None
     if agent.directory is not None:
-        folder = checkpoints.latest(agent.directory.checkpoints)
-    if folder is None:
+        checkpoint = checkpoints.latest(agent.directory.checkpoints)
+    if checkpoint is None:
         raise ConfigError(
-            f"init_buffer=true: init={config.init} has no checkpoint with a replay buffer; leave "
-            "init_buffer out"
+            f"init_buffer=true: init={config.init} has no checkpoint, and so no replay buffer"
         )
-    return folder / BUFFER
+    return checkpoint / BUFFER
+
+
+def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) -> None:
+    own = settings_of(config.plain())
+    source = settings_of(agent.config.plain())
+    for key in differing_keys([own, source]):
+        if key.startswith(keys):
+            raise ConfigError(
+                f"init={config.init} does not fit: its {key} is {source.get(key)}, and this run's "
+                f"is {own.get(key)}"
+            )
