@@ -13,7 +13,7 @@ import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_getattr
 
-from parking_exp.algorithms.policy_files import ACTOR, misfit
+from parking_exp.algorithms.policy_files import ACTOR, load_layers
 from parking_exp.errors import ModelError, one_line
 
 ENTROPY = "log_ent_coef"  # of SAC, TQC and CrossQ; None if it is not tuned
@@ -50,11 +50,7 @@ def load_networks(path: Path, model: OffPolicyAlgorithm) -> None:
         ModelError: the file is damaged, or its networks have other layers.
     """
     weights, variables = read_weights(path, model.device)
-    networks = weights.get("policy", {})
-    problem = misfit(networks, model.policy)
-    if problem is not None:
-        raise ModelError(f"{path} does not fit: its layer {problem}")
-    model.policy.load_state_dict(networks)
+    load_layers(model.policy, weights.get("policy", {}), path)
     coefficient = getattr(model, ENTROPY, None)
     if coefficient is not None and ENTROPY in variables:
         coefficient.data.copy_(variables[ENTROPY])
@@ -68,14 +64,11 @@ def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
     """
     actor = model.policy.get_submodule("actor")
     weights = read_actor(path, model.device)
-    problem = misfit(weights, actor)
-    if problem is not None:
-        raise ModelError(
-            f"{path} does not fit: its layer actor.{problem}; "
-            "name the env that it was trained on (env=NAME), and its algorithm and policy "
-            "(algorithm=NAME algorithm.policy_kwargs.NAME=VALUE)"
-        )
-    actor.load_state_dict(weights)
+    hint = (
+        "; name the env that it was trained on (env=NAME), and its algorithm and policy "
+        "(algorithm=NAME algorithm.policy_kwargs.NAME=VALUE)"
+    )
+    load_layers(actor, weights, path, prefix=ACTOR, hint=hint)
 
 
 def read_actor(path: Path, device: torch.device | str) -> dict[str, torch.Tensor]:

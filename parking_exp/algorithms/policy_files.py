@@ -46,24 +46,41 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
         raise ModelError(f"{path} is of another policy: {metadata}, not {_metadata(model)}")
     for name in ("actor", "actor_target"):
         network = getattr(model.policy, name, None)
-        if network is None:
-            continue
-        problem = misfit(weights, network)
-        if problem is not None:
-            raise ModelError(f"{path} does not fit: its layer {name}.{problem}")
-        network.load_state_dict(weights)
+        if network is not None:
+            load_layers(network, weights, path, prefix=ACTOR)
 
 
-def misfit(weights: Mapping[str, torch.Tensor], network: nn.Module) -> str | None:
-    """Return the first layer whose weights do not fit a network, and how; None if all do."""
+def load_layers(
+    network: nn.Module,
+    weights: Mapping[str, torch.Tensor],
+    path: Path,
+    *,
+    prefix: str = "",
+    hint: str = "",
+) -> None:
+    """Load weights of a file into a network.
+
+    Args:
+        network: whose layers are named without the prefix.
+        weights: by layer.
+        path: of the file, for the message.
+        prefix: of the names of layers in the message.
+        hint: end of the message.
+
+    Raises:
+        ModelError: a layer is missing or has another shape, or there is one too many.
+    """
     stored = _shapes(weights)
     expected = _shapes(network.state_dict())
     for name in [*expected, *stored]:
         shape = stored.get(name, "missing")
         expected_shape = expected.get(name, "missing")
         if shape != expected_shape:
-            return f"{name} is {shape}, not {expected_shape}"
-    return None
+            raise ModelError(
+                f"{path} does not fit: its layer {prefix}{name} is {shape}, not "
+                f"{expected_shape}{hint}"
+            )
+    network.load_state_dict(weights)
 
 
 def _shapes(weights: Mapping[str, torch.Tensor]) -> dict[str, str]:

@@ -43,10 +43,10 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
 def _train(config: RunConfig) -> RunResult:
     directory = RunDirectory(config.run_dir)
     writer = StoreWriter([config], partial(say, stderr=True))
-    if directory.result() is None:
-        check_sources([config])
     if directory.result() is None or directory.needs_evaluation(config):
         check_device(config.device)
+    if directory.result() is None:
+        check_sources([config])
     with directory.supervisor_lock(), directory.training_lock():
         reason = _reason_to_keep(directory, config)
         if reason is None:

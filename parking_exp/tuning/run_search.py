@@ -55,6 +55,10 @@ def tune(search: Search, launcher: Launcher) -> None:
             "machines"
         )
     search.check()
+    from parking_exp.training.warm_start import check_sources  # imports torch
+
+    seeds = search.request.search.tuning_seeds
+    check_sources(search.base.model_copy(update={"seed": seed}) for seed in seeds)
     out = console()
     request = search.request
     n_workers = request.n_workers or launcher.n_jobs

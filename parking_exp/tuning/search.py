@@ -15,7 +15,9 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, refuse, validate
 from parking_exp.errors import ConfigError
+from parking_exp.evaluation.initial_agents import name_source
 from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.lookup import LATEST
 from parking_exp.tuning.search_config import SearchFile, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_of, study_errors
 from parking_exp.tuning.trials import OBJECTIVE, RetestedTrial, TrialRow, read_retest, read_trials
@@ -87,7 +89,10 @@ class Search:
         plain: Any = OmegaConf.to_container(self.compose(changes).cell, resolve=True)
         for key in TuneRequest.model_fields:
             del plain[key]
-        return validate(plain)
+        config = validate(plain)
+        if config.init == LATEST:
+            raise ConfigError("init=latest: name a run, so that all trials start from the same one")
+        return name_source(config)
 
     def check(self) -> None:
         """Check the space: every key, both ends of each range, and every choice.

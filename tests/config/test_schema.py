@@ -212,12 +212,13 @@ def test_the_cell_is_the_config_without_its_seed():
         ("timeout_s=9", False), ("contrasts=[[td3,sac]]", False), ("label=best", False),
         ("evaluation.video_episodes=0", False), ("evaluation.n_scenes=9", True),
         ("evaluation.every_n_steps=9", True), ("evaluation.first_scene=9", True),
+        ("+init_latest=true", False), ("init=pretrained/default", True),
         ("algorithm.gamma=0.9", True), ("total_timesteps=30000", True), ("env.duration=50", True), ("n_envs=4", True),
     ],
 )  # fmt: skip
 def test_the_run_key_changes_with_what_can_change_results(override, changes):
     assert (make_config(override).run_key != make_config().run_key) is changes
-    assert changes_results(override.partition("=")[0]) is changes
+    assert changes_results(override.lstrip("+").partition("=")[0]) is changes
 
 
 @pytest.mark.parametrize(

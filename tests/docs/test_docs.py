@@ -113,6 +113,7 @@ def test_commands_run(first, tmp_path):
         command
         for command in commands(*(set(PAGES) - {EXTENDING}))
         if not command.startswith(("benchmark.py", "robustness.py"))
+        and "init=latest" not in command
     ]
     read_first = commands(ROOT / "README.md", ROOT / "docs" / "getting_started.md")
     selected = [
@@ -125,6 +126,29 @@ def test_commands_run(first, tmp_path):
         script, *words = cheap(command)
         done = call_script(script.removesuffix(".py"), *words, cwd=tmp_path)
         assert done.returncode == 0, (command, done.stderr)
+
+
+@pytest.mark.slow
+def test_runs_start_from_others_as_the_page_on_runs_shows(tmp_path):
+    """With few env steps and envs; pretrained weights, a longer training, a curriculum."""
+    few = (
+        "total_timesteps=2500",
+        "n_envs=4",
+        "evaluation.n_scenes=2",
+        "evaluation.final_n_scenes=2",
+        "evaluation.video_episodes=0",
+        "tracking.mlflow=false",
+    )
+    text = (ROOT / "docs" / "runs.md").read_text()
+    section = re.search(r"^## Starting from another run\n(.*?)^##", text, re.MULTILINE | re.DOTALL)
+    lines = re.findall(r"^python scripts/train\.py (.*)$", section[1], re.MULTILINE)
+    assert sum("init=" in line for line in lines) == 3
+    for line in lines:
+        words = shlex.split(line)
+        if "algorithm.learning_starts=0" not in words:
+            words.append("algorithm.learning_starts=2004")
+        done = call_script("train", *words, *few, cwd=tmp_path)
+        assert done.returncode == 0, (line, done.stderr)
 
 
 EXAMPLES = [page for page in PAGES if any(not title for title, _ in blocks(page, "python"))]
