@@ -24,7 +24,8 @@ DIGEST = "mirrored"
 STARTED = "started_ms"
 STATUS = "status"
 OUTPUT_ID = "output_id"
-FROM_STATUS = ("command", "search", "trial", "init_sha256")
+FROM_STATUS = ("command", "search", "trial")
+INIT = "init_sha256"
 MAX_ERROR_LENGTH = 500
 
 
@@ -120,7 +121,7 @@ def tags_in_store(directory: RunDirectory, config: RunConfig, store: Store) -> d
                 tags[name] = str(value)
     if STARTED in provenance:
         tags[STARTED] = str(provenance[STARTED])
-    for name in FROM_STATUS:
+    for name in (*FROM_STATUS, INIT):
         if name in entries:
             tags[name] = str(entries[name])
     if not store.is_own:
