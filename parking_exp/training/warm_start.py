@@ -47,10 +47,16 @@ def check_sources(configs: Iterable[RunConfig]) -> None:
             _find_buffer(config, agent)
         if config.cell_key not in checked:
             checked.add(config.cell_key)
-            task = make_task(config.env)
-            env = task.prediction_env()
-            _load_networks(agent, build_model(config, task, env, seed=0, for_training=False))
-            task.close()
+            _check_layers(config, agent)
+
+
+def _check_layers(config: RunConfig, agent: Agent) -> None:
+    """Load networks into a model of a run; raises ModelError if they have other layers."""
+    task = make_task(config.env)
+    env = task.prediction_env()
+    model = build_model(config, task, env, seed=0, for_training=False)
+    _load_networks(agent, model)
+    task.close()
 
 
 def start(config: RunConfig, model: OffPolicyAlgorithm) -> str:
@@ -61,7 +67,8 @@ def start(config: RunConfig, model: OffPolicyAlgorithm) -> str:
     agent = find_source(config)
     _load_networks(agent, model)
     if config.init_buffer:
-        checkpoints.load_transitions(_find_buffer(config, agent), model.replay_buffer)
+        file = _find_buffer(config, agent)
+        checkpoints.load_transitions(file, model.replay_buffer)
     return sha256(agent.weights)
 
 

@@ -79,6 +79,21 @@ def test_buffer_and_counters_come_back(tmp_path, overrides, size, monkeypatch):
         assert (theirs.ep_length == ours.ep_length).all()
 
 
+@pytest.mark.filterwarnings("ignore:The last trajectory")
+def test_transitions_of_stable_baselines3s_buffer_end_the_episodes_under_way(tmp_path):
+    model = trained(*SB3_HER, steps=105)
+    fresh = trained(*SB3_HER, steps=0).replay_buffer
+    folder = save(tmp_path, model, step=105)
+    checkpoints.load_transitions(folder / checkpoints.BUFFER, fresh)
+
+    buffer = model.replay_buffer
+    assert (buffer._current_ep_start != buffer.pos).all()
+    assert fresh.pos == buffer.pos > 0
+    assert (fresh._current_ep_start == fresh.pos).all()
+    assert fresh.timeouts[fresh.pos - 1].all()
+    assert (fresh.ep_length[: fresh.pos] > 0).all()
+
+
 def test_keep_last_limits_the_checkpoints_on_disk_by_step(tmp_path, model):
     (tmp_path / ".tmp-step=0000000005").mkdir()  # of a process that was killed
     for step in (10, 900, 1000, 100_000):
