@@ -1,6 +1,7 @@
 """Find the agent that a run starts from, which the key `init` names."""
 
 from contextlib import suppress
+from pathlib import Path
 
 from parking_exp.config.paths import directory_path, relative_path
 from parking_exp.config.schema import RunConfig
@@ -21,14 +22,13 @@ def name_source(config: RunConfig) -> RunConfig:
     """
     if config.init is None or is_pretrained(config.init):
         return config
-    source = None
-    is_latest = config.init == LATEST
-    if is_latest:
-        source = _planned_source(config)
+    if config.init != LATEST:
+        return config.model_copy(update={"init": _source_path(config.init, config.output_path)})
+    source = _planned_source(config)
     if source is None:
-        source = _source_path(config.init, config)
-    changes = {"init": source, "init_latest": is_latest or config.init_latest}
-    return config.model_copy(update=changes)
+        folder = find_agent(LATEST, config.output_path, trust=True, key="init").folder
+        source = relative_path(folder, config.output_path)
+    return config.model_copy(update={"init": source, "init_latest": True})
 
 
 def _planned_source(config: RunConfig) -> str | None:
@@ -42,8 +42,8 @@ def _planned_source(config: RunConfig) -> str | None:
     return None
 
 
-def _source_path(init: str, config: RunConfig) -> str:
-    output_path = config.output_path
+def _source_path(init: str, output_path: Path) -> str:
+    """Return the path of a run or a cell, relative to the output directory if it lies there."""
     folder = output_path / init
     if not folder.is_dir():
         folder = directory_path(init)
@@ -65,9 +65,11 @@ def find_source(config: RunConfig) -> Agent:
     Raises:
         RunNotFoundError: there is no such run, or it has no final model yet.
     """
-    init = str(config.init)
-    if not is_pretrained(init):
-        folder = config.output_path / init
+    source = str(config.init)
+    if not is_pretrained(source):
+        folder = config.output_path / source
         of_seed = folder / f"seed={config.seed}"
-        init = str(of_seed if of_seed.is_dir() else folder)
-    return find_agent(init, config.output_path, trust=True, key="init")
+        if of_seed.is_dir():
+            folder = of_seed
+        source = str(folder)
+    return find_agent(source, config.output_path, trust=True, key="init")
