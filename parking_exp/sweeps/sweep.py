@@ -186,9 +186,13 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         FailedRunError: not all runs are done at the end.
         InterruptedRunError: a signal stopped it.
     """
-    from parking_exp.training.warm_start import check_sources  # imports torch
+    starting_from_others = [
+        run.config for run in runs if run.is_due and run.config.init is not None
+    ]
+    if starting_from_others:
+        from parking_exp.training.warm_start import check_sources  # imports torch
 
-    check_sources(run.config for run in runs if run.is_due)
+        check_sources(starting_from_others)
     out = console()
     print_plan(runs, out)
     if dry_run:

@@ -55,10 +55,11 @@ def tune(search: Search, launcher: Launcher) -> None:
             "machines"
         )
     search.check()
-    from parking_exp.training.warm_start import check_sources  # imports torch
+    if search.base.init is not None:
+        from parking_exp.training.warm_start import check_sources  # imports torch
 
-    seeds = search.request.search.tuning_seeds
-    check_sources(search.base.model_copy(update={"seed": seed}) for seed in seeds)
+        seeds = search.request.search.tuning_seeds
+        check_sources(search.base.model_copy(update={"seed": seed}) for seed in seeds)
     out = console()
     request = search.request
     n_workers = request.n_workers or launcher.n_jobs
