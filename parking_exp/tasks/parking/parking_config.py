@@ -21,6 +21,7 @@ OUR_KEYS = {
     "reward",
     "training_duration",
     "training_success_goal_reward",
+    "starts",
     "obstacles",
     "lot",
     "level",
@@ -79,6 +80,7 @@ class ParkingConfig(TaskConfig):
         "collision_reward",
         "training_duration",
         "training_success_goal_reward",
+        "starts",
         "observation.vehicles_count",
         "observation.rays",
         "observation.rays_range_m",
@@ -89,6 +91,8 @@ class ParkingConfig(TaskConfig):
     reward: Literal["dense", "sparse"]
     training_duration: Duration | None
     training_success_goal_reward: PositiveFloat | None
+    # Left out of stored configs where it is the default.
+    starts: Annotated[Literal["lot", "goal", "mixed"], Field(exclude_if="lot".__eq__)] = "lot"
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
     # None: highway-env's own lot. Left out of stored configs then.
     lot: Annotated[LotConfig | None, Field(exclude_if=not_)] = None
@@ -172,6 +176,8 @@ class ParkingConfig(TaskConfig):
             )
         if self.policy_frequency > self.simulation_frequency:
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
+        if self.starts != "lot" and self.simulator != "vectorized":
+            yield f"env.starts={self.starts} needs env.simulator=vectorized"
         if self.lot is None and self.vehicles_range[1] > MAX_VEHICLES:
             yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"
         if self.lot is not None:

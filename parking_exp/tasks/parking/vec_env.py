@@ -5,6 +5,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from parking_exp.tasks.batch_vec_env import BatchVecEnv
+from parking_exp.tasks.parking.goal_starts import GoalStarts
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import observation_size
 from parking_exp.tasks.parking.parking_config import ParkingConfig
@@ -18,7 +19,7 @@ class ParkingVecEnv(BatchVecEnv):
     simulator: Simulator
 
     def __init__(self, config: ParkingConfig, n_envs: int) -> None:
-        self.lot = lot_of(config)
+        self.lot = lot_of(config) if config.starts == "lot" else GoalStarts(config)
         simulator = Simulator(config, self.draw(np.random.default_rng(), n_envs))
         goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
         size = observation_size(config.observation.vehicles_count) + config.observation.rays
