@@ -1,5 +1,6 @@
 """Evaluate a policy on episodes with fixed seeds, and summarise them."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -63,8 +64,12 @@ def find_differences(episodes: pd.DataFrame, reference: pd.DataFrame) -> list[st
 
 
 def summarise(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, float]:
-    """Return the rate or mean of every metric: success_rate, ..., return_mean."""
-    return {metric.key: float(metric.values(episodes).mean()) for metric in metrics}
+    """Return the rate or mean of every metric: success_rate, ..., return_mean.
+
+    A metric that no episode has, such as a time to success without any, has no mean.
+    """
+    means = {metric.key: float(metric.values(episodes).mean()) for metric in metrics}
+    return {key: mean for key, mean in means.items() if not math.isnan(mean)}
 
 
 def rank(summary: dict[str, float], task: Task) -> list[float]:
@@ -91,6 +96,8 @@ def describe(episodes: pd.DataFrame, metrics: Metrics) -> list[str]:
     lines = []
     means = []
     for metric in metrics:
+        if metric.key not in summary:
+            continue
         value = summary[metric.key]
         if metric.is_rate:
             low, high = bounds[metric.key]

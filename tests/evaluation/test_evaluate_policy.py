@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from support.runs import make_config
 
+from parking_exp import load_model
 from parking_exp.evaluation.evaluate_policy import (
     describe,
     evaluate,
@@ -15,6 +16,7 @@ from parking_exp.evaluation.evaluate_policy import (
     summarise,
 )
 from parking_exp.tasks.metrics import episode_columns, outcome
+from parking_exp.tasks.parking.driven_path import reeds_shepp_m
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask
@@ -59,6 +61,57 @@ def test_rows_are_what_a_plain_loop_sees():
     )
 
 
+@pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
+def test_the_driven_path_and_changes_of_gear_are_measured(simulator):
+    """Five steps with full acceleration and ten with full brakes, straight on.
+
+    From a speed of v m/s, a step of 0.2 s with +5 m/s2 leads v / 5 + 1 / 15 m further.
+    """
+    actions = iter([1.0] * 5 + [-1.0] * 10)
+
+    def ahead_and_back(observation):
+        return np.tile([next(actions), 0.0], (len(observation["observation"]), 1))
+
+    task = make_task(make_config("env.duration=2.9").env)
+    (row,) = evaluate(ahead_and_back, task, [1], simulator=simulator).to_dict("records")
+    task.close()
+    assert row["steps"] == 15
+    ahead = sum(speed / 5 + 1 / 15 for speed in range(5))
+    braking = sum(speed / 5 - 1 / 15 for speed in range(1, 6))
+    back = ahead
+    assert row["path_m"] == pytest.approx(ahead + braking + back)
+    assert row["gear_changes"] == 1
+    assert math.isnan(row["park_s"])
+    assert math.isnan(row["path_efficiency"])
+
+
+def test_a_trained_agent_drives_further_than_the_shortest_path():
+    agent = load_model("pretrained/parked")
+    env = make_config("env=parking_stop").env
+
+    def policy(observation):
+        return agent.predict(observation, deterministic=True)[0]
+
+    table = evaluate(policy, make_task(env), range(20))
+    assert (table["outcome"] == "success").all()
+    assert table["park_s"].tolist() == pytest.approx((table["steps"] / 5).tolist())
+    assert table["path_efficiency"].between(0.3, 1.001).all()
+
+
+@pytest.mark.parametrize(
+    ("end", "length_m"),
+    [
+        ((12.0, 0.0, 0.0), 12.0),
+        ((-12.0, 0.0, 0.0), 12.0),
+        ((0.0, 10.0, math.pi), 5 * math.pi),  # a half circle
+        ((5.0, 5.0, math.pi / 2), 5 * math.pi / 2),
+        ((0.0, 0.0, math.pi), 5 * math.pi),  # three turns of 60 degrees
+    ],
+)
+def test_the_shortest_path_has_turns_of_the_smallest_radius(end, length_m):
+    assert reeds_shepp_m((0.0, 0.0, 0.0), end, 5.0) == pytest.approx(length_m)
+
+
 @pytest.mark.parametrize(
     ("pose", "parked"),
     [
@@ -100,6 +153,10 @@ EPISODES = pd.DataFrame(
         "distance_m": [0.5, 1.0, 5.0, 10.0],
         "heading_error_rad": [0.0, 0.2, 0.4, 1.0],
         "speed_mps": [0.0, 1.0, 5.0, 0.0],
+        "park_s": [2.0, 4.0, math.nan, math.nan],
+        "path_m": [8.0, 12.0, 20.0, 0.0],
+        "path_efficiency": [0.5, 0.75, math.nan, math.nan],
+        "gear_changes": [1, 0, 0, 3],
     }
 )
 
@@ -108,11 +165,20 @@ def test_a_table_is_summarised_as_rates_with_intervals_and_means():
     assert summarise(EPISODES, METRICS) == {
         "success_rate": 0.5, "crash_rate": 0.25, "timeout_rate": 0.25, "parked_rate": 0.25, "return_mean": -27.75,
         "steps_mean": 140.0, "distance_m_mean": 4.125, "heading_error_rad_mean": 0.4, "speed_mps_mean": 1.5,
+        "park_s_mean": 3.0, "path_m_mean": 10.0, "path_efficiency_mean": 0.625, "gear_changes_mean": 1.0,
     }  # fmt: skip
     lines = describe(EPISODES, METRICS)
     assert lines[0] == "success   50.0%   95 % interval 15.0% to 85.0%   2 of 4"
     assert lines[3].startswith("parked    25.0%   95 % interval 4.6% to 69.9%   1 of 4")
     assert "return -27.8, distance at the end 4.12 m" in lines[4]
+
+
+def test_a_metric_that_no_episode_has_is_left_out():
+    failures = EPISODES[EPISODES["outcome"] != "success"]
+    summary = summarise(failures, METRICS)
+    assert "park_s_mean" not in summary
+    assert summary["path_m_mean"] == 10.0
+    assert "time to success" not in describe(failures, METRICS)[-1]
 
 
 def test_the_best_is_chosen_by_success_then_crashes_then_steps():

@@ -1,4 +1,8 @@
-"""Metrics of parking episodes: outcomes, strict parking, and the pose of the car at the end."""
+"""Metrics of parking episodes: outcomes, strict parking, the pose of the car at the end, and how it
+got there.
+"""
+
+import math
 
 from parking_exp.tasks.metrics import (
     FAILURE_COLOUR,
@@ -6,10 +10,25 @@ from parking_exp.tasks.metrics import (
     STEPS,
     SUCCESS,
     TIMEOUT,
+    Episode,
     Metric,
     outcome_rate,
     rate,
 )
+
+
+def _time_to_park(episode: Episode) -> float:
+    """Return the duration of a successful episode [s], NaN of others."""
+    return episode.info["time_s"] if episode.outcome == "success" else math.nan
+
+
+def _path_efficiency(episode: Episode) -> float:
+    """Return the share of the driven path that the shortest one has; NaN without success."""
+    driven_m = episode.info["path_m"]
+    if episode.outcome != "success" or driven_m == 0:
+        return math.nan
+    return episode.info["shortest_path_m"] / driven_m
+
 
 METRICS: tuple[Metric, ...] = (
     SUCCESS,
@@ -27,4 +46,11 @@ METRICS: tuple[Metric, ...] = (
         "Heading error at the end", "rad"
     ),
     Metric("speed_mps", lambda e: abs(e.end.speed_mps), "Speed at the end", "m/s"),
+    Metric("park_s", _time_to_park, "Time to success", "s", in_reports=True),
+    Metric("path_m", lambda e: e.info["path_m"], "Driven path", "m", in_reports=True),
+    Metric("path_efficiency", _path_efficiency, "Path efficiency", in_reports=True),
+    Metric(
+        "gear_changes", lambda e: e.info["gear_changes"], "Gear changes", "", "int64",
+        in_reports=True
+    ),
 )  # fmt: skip

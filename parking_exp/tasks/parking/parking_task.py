@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 
+from parking_exp.tasks.parking.driven_path import DrivenBatch
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
 from parking_exp.tasks.parking.lot import lot_of
@@ -57,8 +58,9 @@ class ParkingTask(Task):
             self._close_batch()
             batch = HighwayBatch(self.config, seeds)
             self._envs = batch.envs
-            return batch
-        return Simulator(self.config, lot_of(self.config).from_seeds(seeds))
+            return DrivenBatch(batch, self.config)
+        simulator = Simulator(self.config, lot_of(self.config).from_seeds(seeds))
+        return DrivenBatch(simulator, self.config)
 
     def close(self) -> None:
         """Close the envs of evaluations on highway-env, and that of predictions."""

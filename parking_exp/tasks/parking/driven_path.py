@@ -1,0 +1,133 @@
+"""What evaluation episodes drive: length of the path, changes of gear, and the shortest path."""
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
+from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES, ParkingConfig
+from parking_exp.tasks.task import EvaluationBatch, Observation, Step
+
+STANDING_MPS = 0.1
+"""A car that is slower has no gear, so that trembling at rest does not count."""
+
+REAR_AXLE_M = CAR_LENGTH_M / 2  # behind the middle of highway-env's car
+_SCALES = np.array(DEFAULT_SCALES, np.float64)
+
+
+class DrivenBatch:
+    """Episodes of parking whose `info` also tells how the car was driven.
+
+    Paths are those of the middle of the rear axle, which moves in the direction of the heading.
+    They are straight between policy steps.
+
+    Args:
+        batch: the episodes; their first six observations are the car's pose.
+        config: of the env.
+    """
+
+    def __init__(self, batch: EvaluationBatch, config: ParkingConfig) -> None:
+        self.batch = batch
+        low, high = config.action.steering_range or (-math.pi / 4, math.pi / 4)
+        # At steering d, the car slips at its middle by atan(tan(d) / 2).
+        self._radius_m = CAR_LENGTH_M / math.tan(max(-low, high))
+        self._step_s = 1 / config.policy_frequency
+        self._start, _ = _rear_axle(batch.observe())
+        self._place = self._start
+        n = len(batch)
+        self._path_m = np.zeros(n)
+        self._gear = np.zeros(n)
+        self._gear_changes = np.zeros(n, np.int64)
+        self._steps = 0
+
+    def __len__(self) -> int:
+        return len(self.batch)
+
+    def observe(self) -> Observation:
+        """Return the observations of all episodes."""
+        return self.batch.observe()
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Step all episodes; actions have the shape (n, 2)."""
+        step = self.batch.step(actions)
+        place, speed = _rear_axle(step.observation)
+        moved = place[:, :2] - self._place[:, :2]
+        self._path_m += np.hypot(*moved.T)
+        self._place = place
+
+        gear = np.where(np.abs(speed) < STANDING_MPS, self._gear, np.sign(speed))
+        self._gear_changes += gear * self._gear < 0
+        self._gear = gear
+        self._steps += 1
+        return step
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Keep only some of the episodes, by mask."""
+        self.batch.keep(rows)
+        self._start = self._start[rows]
+        self._place = self._place[rows]
+        self._path_m = self._path_m[rows]
+        self._gear = self._gear[rows]
+        self._gear_changes = self._gear_changes[rows]
+
+    def ending(self, row: int) -> Any:
+        """Return the pose of a car relative to its goal."""
+        return self.batch.ending(row)
+
+    def info(self, row: int) -> Mapping[str, Any]:
+        """Return the last `info` of an episode, and `time_s`, `path_m`, `gear_changes` and
+        `shortest_path_m` from where it started to where it ended.
+        """
+        shortest_path_m = reeds_shepp_m(
+            self._start[row].tolist(), self._place[row].tolist(), self._radius_m
+        )
+        return {
+            **self.batch.info(row),
+            "time_s": self._steps * self._step_s,
+            "path_m": float(self._path_m[row]),
+            "gear_changes": int(self._gear_changes[row]),
+            "shortest_path_m": shortest_path_m,
+        }
+
+
+def reeds_shepp_m(start: list[float], end: list[float], radius_m: float) -> float:
+    """Return the length of the shortest path of a car between two poses of its rear axle [m].
+
+    Nothing is in its way (Reeds and Shepp 1990). It is NaN without OMPL, `parking-exp[planning]`.
+
+    Args:
+        start, end: x, y and heading, shape (3,) [m, m, rad].
+        radius_m: the smallest radius of its turns.
+    """
+    space = _reeds_shepp_space(radius_m)
+    if space is None:
+        return math.nan
+    states = []
+    for x, y, heading in (start, end):
+        state = space.allocState()
+        state.setX(x)
+        state.setY(y)
+        state.setYaw(heading)
+        states.append(state)
+    return float(space.distance(*states))
+
+
+@cache
+def _reeds_shepp_space(radius_m: float) -> Any:
+    try:
+        from ompl import base
+    except ImportError:
+        return None
+    return base.ReedsSheppStateSpace(radius_m)
+
+
+def _rear_axle(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+    """Return x, y and heading of rear axles, shape (n, 3) [m, m, rad], and speeds, shape (n,)
+    [m/s].
+    """
+    x, y, vx, vy, cos, sin = (observation["observation"][:, : len(_SCALES)] * _SCALES).T
+    place = np.stack([x - REAR_AXLE_M * cos, y - REAR_AXLE_M * sin, np.arctan2(sin, cos)], axis=1)
+    return place, vx * cos + vy * sin
