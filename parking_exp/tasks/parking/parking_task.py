@@ -59,8 +59,8 @@ class ParkingTask(Task):
             batch = HighwayBatch(self.config, seeds)
             self._envs = batch.envs
             return DrivenBatch(batch, self.config)
-        simulator = Simulator(self.config, lot_of(self.config).from_seeds(seeds))
-        return DrivenBatch(simulator, self.config)
+        scenes = lot_of(self.config).from_seeds(seeds)
+        return DrivenBatch(Simulator(self.config, scenes), self.config)
 
     def close(self) -> None:
         """Close the envs of evaluations on highway-env, and that of predictions."""
