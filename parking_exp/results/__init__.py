@@ -25,6 +25,8 @@
     distance_m              float64   of parking: mean distance to the goal at their end
     heading_error_rad       float64   of parking: mean absolute value at their end
     speed_mps               float64   of parking: mean absolute value at their end
+    path_m, gear_changes    float64   of parking: mean over the same episodes
+    park_s, path_efficiency float64   of parking: mean over the successful ones; NaN without any
     cpu_s, wall_s           float64   what it took so far
     started, ended          datetime64[ms, UTC]; a running one has not ended
     run_dir, artifact_uri   str       where its files are
@@ -55,6 +57,9 @@
     steps, return           int64, float64: length; sum of rewards
     distance_m, heading_error_rad, speed_mps
                             float64   absolute values at its end, of parking
+    park_s, path_m, path_efficiency
+                            float64   of parking; NaN where an episode has none
+    gear_changes            int64     of parking
 
 Metrics of users (`env.metrics`) come after the others: NAME_rate or NAME_mean in `runs`, before
 versions, and in `curves`; NAME in `episodes`.

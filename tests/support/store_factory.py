@@ -127,6 +127,7 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
             "outcome": outcome[order],
             "parked": parked[order],
             "steps": np.maximum(1, np.round(look.steps + rng.integers(-5, 6, n))).astype(int),
+            "gear_changes": order % 3,
         }
     )
     for name in episode_columns(METRICS):
