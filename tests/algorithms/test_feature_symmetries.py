@@ -11,10 +11,11 @@ from parking_exp.tasks.parking.features import (
     FineEgoFrameExtractor,
     MirroredEgoFrameExtractor,
 )
+from parking_exp.tasks.parking.geometry import cars_at
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.rays import ray_distances, rectangles_of
+from parking_exp.tasks.parking.rays import ray_distances
 
 WEIGHTS = [1, 0.3, 0.1, 0.1, 0.02, 0.02]
 N = 200
@@ -47,7 +48,7 @@ def scenes(change=([1, 1, 1], [0, 0, 0])):
     car, goal = states.transpose(2, 1, 0)
     others = np.stack([x, y], axis=-1)
     vehicles = nearest_vehicles(others[:, 0], others[:, 2:], heading[:, 2:], SEEN)
-    rectangles = rectangles_of(others[:, 2:], heading[:, 2:], 5.0, 2.0)
+    rectangles = cars_at(others[:, 2:], heading[:, 2:])
     rays = ray_distances(others[:, 0].T, direction[..., 0], rectangles, RAYS, 30.0) / 30
     observation = np.concatenate([car, vehicles, rays], axis=1)
     assert observation.shape == (N, SIZE)

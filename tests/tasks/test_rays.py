@@ -12,8 +12,9 @@ from support.runs import make_config
 from support.simulator_equality import actions_of, compare
 
 from parking_exp.errors import ConfigError
+from parking_exp.tasks.parking.geometry import Rectangles
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.rays import Rays, ray_distances, rectangles_of
+from parking_exp.tasks.parking.rays import Rays, ray_distances
 from parking_exp.tasks.registry import TRAINING_ONLY
 
 UP = np.pi / 2
@@ -21,8 +22,8 @@ UP = np.pi / 2
 
 def distances(rectangles, heading=0.0, rays=4, range_m=10.0):
     """Distances from a car at the origin to rectangles (x, y, heading, length, width)."""
-    x, y, angle, length, width = np.reshape(rectangles, (1, -1, 5)).transpose(2, 0, 1)
-    scene = rectangles_of(np.stack([x, y], axis=-1), angle, length, width)
+    values = np.reshape(rectangles, (1, -1, 5))
+    scene = Rectangles(values[..., :2], values[..., 2], values[..., 3:])
     direction = np.array([[np.cos(heading)], [np.sin(heading)]])
     return ray_distances(np.zeros((2, 1)), direction, scene, rays, range_m)[0]
 
@@ -76,7 +77,7 @@ def test_distances_are_those_of_shapelys_geometry():
     lengths = rng.uniform(0.5, 20, (n, 6))
     widths = rng.uniform(0.5, 4, (n, 6))
     direction = np.array([np.cos(heading), np.sin(heading)])
-    scenes = rectangles_of(centres, headings, lengths, widths)
+    scenes = Rectangles(centres, headings, np.stack([lengths, widths], axis=-1))
     seen = ray_distances(position.T, direction, scenes, 16, 8.0)
     assert 0.3 < (seen == 8).mean() < 0.6
     assert (seen == 0).any()

@@ -15,6 +15,7 @@ from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.geometry import corners
 from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import Scenes, start_slot
 from parking_exp.tasks.parking.simulator import Simulator
@@ -116,6 +117,25 @@ def test_a_scene_does_not_depend_on_its_neighbours():
             many.observation["observation"][37], one.observation["observation"][0]
         )
         assert many.reward[37] == one.reward[0]
+
+
+@pytest.mark.parametrize("option", ["parking_crowded", "parking_parallel", "parking_bays"])
+def test_scenes_far_from_contact_are_driven_as_frame_by_frame(option):
+    """A car that touches something is never missed: driving all frames of all scenes is the same."""
+    config = env_config(f"env={option}", "env.action.acceleration_range=[-12,12]")
+    rng = np.random.default_rng(0)
+    scenes = lot_of(config).random(rng, 300)
+    fast = Simulator(config, scenes)
+    careful = Simulator(config, scenes)
+    careful._uncertain = lambda *_: np.ones(300, bool)
+    for _ in range(40):
+        actions = rng.uniform(-1, 1, (300, 2))
+        fast.step(actions)
+        careful.step(actions)
+        for name, array in fast.get_state().items():
+            np.testing.assert_array_equal(array, careful.get_state()[name], err_msg=name)
+    assert fast.state.crashed.sum() > 100
+    assert fast.state.pushed.any()
 
 
 @pytest.mark.parametrize("option", ["parking", "parking_sparse"])

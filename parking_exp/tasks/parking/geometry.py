@@ -1,8 +1,12 @@
-"""Geometry of highway-env's parking lot and of the cars in it, in metres and radians."""
+"""Geometry of highway-env's parking lot and of what is in it, in metres and radians."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 CAR_LENGTH_M, CAR_WIDTH_M = 5.0, 2.0
+CAR_SIZE_M = (CAR_LENGTH_M, CAR_WIDTH_M)
 CAR_DIAGONAL_M = float(np.sqrt(CAR_LENGTH_M**2 + CAR_WIDTH_M**2))
 SLOT_LENGTH_M, SLOT_WIDTH_M = 8.0, 4.0
 LOT_LENGTH_M, LOT_WIDTH_M = 70.0, 42.0  # between the centre lines of the walls
@@ -24,15 +28,14 @@ N_SLOTS = len(SLOT_HEADINGS)
 SLOT_POSES = np.concatenate([SLOT_POSITIONS, SLOT_HEADINGS[:, None]], axis=1)  # (28, 3)
 
 # The walls are the sides of a box around the origin, in highway-env's order: below, above, left,
-# right. Each is a rectangle, one metre thick. These are their centres, in halves of the box; their
-# headings; and whether they are as long as the length of the box (0) or as its width (1).
+# right. Each is a rectangle, one metre thick. These are the directions in which they are, their
+# headings, and whether they are as long as the length of the box (0) or as its width (1).
 WALL_SIDES = np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
 WALL_HEADINGS = np.array([0.0, 0.0, np.pi / 2, np.pi / 2])
 WALL_ALONG = np.array([0, 0, 1, 1])
 N_WALLS = len(WALL_ALONG)
 
-OBSTACLE_M = 2.0  # of highway-env's obstacles, which are squares
-OBSTACLE_DIAGONAL_M = float(np.sqrt(2 * OBSTACLE_M**2))
+OBSTACLE_SIZE_M = (2.0, 2.0)  # of highway-env's obstacles
 
 # Of the corners of a rectangle, in its length and its width.
 ALONG = np.array([-0.5, -0.5, 0.5, 0.5])
@@ -61,3 +64,56 @@ def corners(
     np.negative(direction[..., 1], out=rotation[..., 0, 1])
     rotated = (rotation @ points.swapaxes(-1, -2)).swapaxes(-1, -2)
     return np.add(rotated, position[..., None, :], order="C")
+
+
+@dataclass(frozen=True)
+class Rectangles:
+    """Rectangles with a direction, in arrays of any shape."""
+
+    centre: np.ndarray  # shape (..., 2) [m]
+    heading: np.ndarray  # shape (...) [rad]
+    size: np.ndarray  # length along the heading and width across it, shape (..., 2) [m]
+
+    @property
+    def diagonal(self) -> np.ndarray:
+        """Their diagonals, shape (...) [m]."""
+        length = self.size[..., 0]
+        width = self.size[..., 1]
+        diagonal: np.ndarray = np.sqrt(length**2 + width**2)
+        return diagonal
+
+
+def cars_at(position: np.ndarray, heading: np.ndarray) -> Rectangles:
+    """Return cars; positions have the shape (..., 2), headings (...)."""
+    size = np.broadcast_to(CAR_SIZE_M, position.shape)
+    return Rectangles(position, heading, size)
+
+
+def obstacles_at(places: np.ndarray) -> Rectangles:
+    """Return obstacles; places have the shape (..., 2)."""
+    size = np.broadcast_to(OBSTACLE_SIZE_M, places.shape)
+    return Rectangles(places, np.zeros(places.shape[:-1]), size)
+
+
+def walls_around(free: np.ndarray) -> Rectangles:
+    """Return the walls of n scenes, of shape (n, 4).
+
+    `free` is half the space between their inner faces, shape (2, n) [m].
+    """
+    half = free.T[:, None] + WALL_THICKNESS_M / 2
+    size = np.empty((len(half), N_WALLS, 2))
+    size[..., 0] = 2 * half[:, 0, WALL_ALONG]
+    size[..., 1] = WALL_THICKNESS_M
+    heading = np.broadcast_to(WALL_HEADINGS, size.shape[:2])
+    return Rectangles(half * WALL_SIDES, heading, size)
+
+
+def joined(parts: Sequence[Rectangles]) -> Rectangles:
+    """Return the rectangles of some scenes in one, of shape (n, R); the parts have the shapes
+    (n, their number).
+    """
+    return Rectangles(
+        centre=np.concatenate([part.centre for part in parts], axis=1),
+        heading=np.concatenate([part.heading for part in parts], axis=1),
+        size=np.concatenate([part.size for part in parts], axis=1),
+    )

@@ -22,6 +22,7 @@ class HighwayLot:
     n_obstacles: int
     nearest_row_m = ROW_Y_M  # no row is nearer to the middle of the lot
     size_m = (LOT_LENGTH_M, LOT_WIDTH_M)
+    same_walls = True  # in all scenes
 
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:
         """Return the scenes of `env.reset(seed=s)` of highway-env."""
@@ -61,8 +62,10 @@ class ParametricLot:
         extremes = np.zeros((2, self.n_draws))
         extremes[1] = np.nextafter(1.0, 0.0)
         scenes = self.scenes(extremes)
-        length, width = scenes.box[1].tolist()
+        smallest, largest = scenes.box.tolist()
+        length, width = largest
         self.size_m = (length, width)
+        self.same_walls = smallest == largest
         self.nearest_row_m = float(np.abs(scenes.slots[..., 1]).min()) - TINY
 
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:

@@ -11,12 +11,11 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, Obstacle
 
-from parking_exp.tasks.parking.geometry import WALL_HEADINGS, WALL_THICKNESS_M
+from parking_exp.tasks.parking.geometry import walls_around
 from parking_exp.tasks.parking.lot import ParametricLot
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
-from parking_exp.tasks.parking.simulator.collisions import diagonals, walls_of
 
 LINES = (LineType.CONTINUOUS, LineType.CONTINUOUS)
 
@@ -73,12 +72,12 @@ class LotEnv(ParkingEnv):
             self._create_walls()
 
     def _create_walls(self) -> None:
-        places, lengths = walls_of(self.scene.free)
-        for place, length, heading in zip(places[0], lengths[0], WALL_HEADINGS, strict=True):
-            wall = Obstacle(self.road, place, heading)
+        walls = walls_around(self.scene.free)
+        for number, (length, width) in enumerate(walls.size[0]):
+            wall = Obstacle(self.road, walls.centre[0, number], walls.heading[0, number])
             wall.LENGTH = length
-            wall.WIDTH = WALL_THICKNESS_M
-            wall.diagonal = diagonals(length)
+            wall.WIDTH = width
+            wall.diagonal = walls.diagonal[0, number]
             self.road.objects.append(wall)
 
     def compute_reward(

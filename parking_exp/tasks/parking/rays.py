@@ -1,39 +1,19 @@
 """Observation of distances along rays, as a lidar measures them, and the Gymnasium wrapper that
 adds it.
-
-What rays can meet are rectangles: arrays of shape (6, n, R) for R rectangles in each of n scenes,
-with x and y of their centres [m], cosine and sine of their headings, half their lengths and half
-their widths [m].
 """
 
 import gymnasium as gym
 import numpy as np
 
+from parking_exp.tasks.parking.geometry import Rectangles
 from parking_exp.tasks.parking.nearby_vehicles import SeenByCar
 from parking_exp.tasks.parking.parking_config import RAYS_RANGE_M
 
 _TINY = 1e-300  # in place of 0, which can't be divided by
 
 
-def rectangles_of(
-    centre: np.ndarray, heading: np.ndarray, length: np.ndarray | float, width: np.ndarray | float
-) -> np.ndarray:
-    """Return rectangles, shape (6, n, R).
-
-    Args:
-        centre: shape (n, R, 2) [m].
-        heading: shape (n, R) [rad].
-        length: along the heading, one for all, or of a shape that broadcasts to (n, R) [m].
-        width: across it, likewise.
-    """
-    x, y = np.moveaxis(centre, -1, 0)
-    cos = np.cos(heading)
-    sin = np.sin(heading)
-    return np.stack(np.broadcast_arrays(x, y, cos, sin, length / 2, width / 2))
-
-
 def ray_distances(
-    position: np.ndarray, direction: np.ndarray, rectangles: np.ndarray, rays: int, range_m: float
+    position: np.ndarray, direction: np.ndarray, rectangles: Rectangles, rays: int, range_m: float
 ) -> np.ndarray:
     """Return the distances from cars' centres to the nearest rectangle along each ray, shape
     (n, rays) [m].
@@ -44,13 +24,13 @@ def ray_distances(
     Args:
         position: centres of the cars, shape (2, n) [m].
         direction: cosine and sine of their headings, shape (2, n).
-        rectangles: all that is in the scenes but for the cars, shape (6, n, R).
+        rectangles: all that is in the scenes but for the cars, of shape (n, R).
         rays: their number.
         range_m: the largest distance that is seen [m].
     """
-    axis = rectangles[2:4]
-    half_size = rectangles[4:]
-    offset = _turn_back(position[..., None] - rectangles[:2], axis)
+    axis = np.array([np.cos(rectangles.heading), np.sin(rectangles.heading)])
+    half_size = np.moveaxis(rectangles.size, -1, 0) / 2
+    offset = _turn_back(position[..., None] - np.moveaxis(rectangles.centre, -1, 0), axis)
     outside = np.maximum(np.abs(offset) - half_size, 0.0)
     near = (outside**2).sum(axis=0) < range_m**2
     scene, _ = np.nonzero(near)
@@ -106,12 +86,14 @@ class Rays(SeenByCar):
     def seen(self) -> np.ndarray:
         """Return the distances along rays."""
         car = self.unwrapped.vehicle
-        rectangles = [
-            (*item.position, *item.direction, item.LENGTH / 2, item.WIDTH / 2)
-            for item in self.others(walls=True)
-        ]
-        scene = np.reshape(rectangles, (-1, 1, 6)).T
+        others = self.others(walls=True)
+        sizes = [(item.LENGTH, item.WIDTH) for item in others]
+        rectangles = Rectangles(
+            centre=np.reshape([item.position for item in others], (1, -1, 2)),
+            heading=np.reshape([item.heading for item in others], (1, -1)),
+            size=np.reshape(sizes, (1, -1, 2)),
+        )
         distances = ray_distances(
-            car.position[:, None], car.direction[:, None], scene, self.rays, self.range_m
+            car.position[:, None], car.direction[:, None], rectangles, self.rays, self.range_m
         )
         return distances[0] / self.range_m

@@ -6,15 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import (
-    CAR_LENGTH_M,
-    CAR_WIDTH_M,
-    OBSTACLE_M,
-    WALL_HEADINGS,
-    WALL_THICKNESS_M,
-)
+from parking_exp.tasks.parking.geometry import CAR_SIZE_M, OBSTACLE_SIZE_M, walls_around
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
-from parking_exp.tasks.parking.simulator.collisions import walls_of
 
 
 class Rectangle(NamedTuple):
@@ -41,28 +34,28 @@ class SceneShapes:
 
 def scene_shapes(scenes: Scenes, row: int, *, walls: bool) -> SceneShapes:
     """Return the rectangles of one scene at its start; without walls, there are none."""
-    slots = _rectangles(scenes.slots[row], *scenes.slot_size[row])
+    slots = _rectangles(scenes.slots[row], scenes.slot_size[row])
     cars = scenes.vehicle_pose[row][scenes.vehicles[row] != NO_SLOT]
-    (car,) = _rectangles(scenes.start[[row]], CAR_LENGTH_M, CAR_WIDTH_M)
+    (car,) = _rectangles(scenes.start[[row]], CAR_SIZE_M)
     obstacles = np.insert(scenes.obstacles[row], 2, 0.0, axis=1)  # their headings
     return SceneShapes(
         car=car,
         goal=slots[scenes.goal[row]],
         slots=slots,
-        parked_cars=_rectangles(cars, CAR_LENGTH_M, CAR_WIDTH_M),
+        parked_cars=_rectangles(cars, CAR_SIZE_M),
         walls=_walls(scenes.free[:, [row]]) if walls else [],
-        obstacles=_rectangles(obstacles, OBSTACLE_M, OBSTACLE_M),
+        obstacles=_rectangles(obstacles, OBSTACLE_SIZE_M),
     )
 
 
 def _walls(free: np.ndarray) -> list[Rectangle]:
     """Return the walls around half a space of shape (2, 1) [m]."""
-    (centres,), (lengths,) = walls_of(free)
-    poses = np.concatenate([centres, WALL_HEADINGS[:, None]], axis=1)
-    return _rectangles(poses, lengths, WALL_THICKNESS_M)
+    walls = walls_around(free)
+    poses = np.column_stack([walls.centre[0], walls.heading[0]])
+    return _rectangles(poses, walls.size[0])
 
 
-def _rectangles(poses: np.ndarray, length: np.ndarray | float, width: float) -> list[Rectangle]:
-    """Return n rectangles; poses have the shape (n, 3), the length (n,) or none."""
-    columns = np.broadcast_arrays(*poses.T, length, width)
-    return [Rectangle(*values) for values in np.stack(columns, axis=1).tolist()]
+def _rectangles(poses: np.ndarray, size: np.ndarray | tuple[float, float]) -> list[Rectangle]:
+    """Return n rectangles; poses have the shape (n, 3), their sizes (n, 2) or (2,)."""
+    sizes = np.broadcast_to(size, (len(poses), 2))
+    return [Rectangle(*values) for values in np.column_stack([poses, sizes]).tolist()]

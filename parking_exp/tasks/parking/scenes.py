@@ -36,10 +36,10 @@ _START_HEADINGS = SLOT_HEADINGS[list(_START_SLOTS), None]
 _START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
 
 # The geometry of any number of scenes of highway-env's lot: views, which take no memory.
-_MOST_SCENES = 10**7
-_ALL_SLOTS = np.broadcast_to(SLOT_POSES, (_MOST_SCENES, *SLOT_POSES.shape))
-_ALL_SLOT_SIZES = np.broadcast_to((SLOT_LENGTH_M, SLOT_WIDTH_M), (_MOST_SCENES, 2))
-_ALL_BOXES = np.broadcast_to((LOT_LENGTH_M, LOT_WIDTH_M), (_MOST_SCENES, 2))
+MOST_SCENES = 10**7
+_ALL_SLOTS = np.broadcast_to(SLOT_POSES, (MOST_SCENES, *SLOT_POSES.shape))
+_ALL_SLOT_SIZES = np.broadcast_to((SLOT_LENGTH_M, SLOT_WIDTH_M), (MOST_SCENES, 2))
+_ALL_BOXES = np.broadcast_to((LOT_LENGTH_M, LOT_WIDTH_M), (MOST_SCENES, 2))
 
 
 @dataclass(frozen=True)

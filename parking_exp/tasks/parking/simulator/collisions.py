@@ -3,12 +3,15 @@
 In each scene highway-env tests the car against the parked cars, the walls and the obstacles, then
 the parked cars against each other, the walls and the obstacles. The last push of a frame counts. A
 pair of rectangles is tested twice (`RoadObject._is_colliding`, `utils.are_polygons_intersecting`):
-the circles around both, then the separating axis theorem, now and one frame ahead.
+the circles around both, smaller in reverse, then the separating axis theorem, now and one frame
+ahead.
 
 A car that was pushed out of another is exactly at contact in the next frame, where the last bit
 decides. Therefore the arithmetic is highway-env's to the last bit: `vecdot` and `matmul` make the
 same BLAS calls as its dot products.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,35 +20,24 @@ from parking_exp.tasks.parking.geometry import (
     CAR_LENGTH_M,
     CAR_WIDTH_M,
     N_WALLS,
-    OBSTACLE_DIAGONAL_M,
-    OBSTACLE_M,
     WALL_ALONG,
-    WALL_HEADINGS,
     WALL_SIDES,
-    WALL_THICKNESS_M,
-    Lengths,
     corners,
+    joined,
+    obstacles_at,
+    walls_around,
 )
 from parking_exp.tasks.parking.simulator.scene_state import SceneState
 
 NEXT_CORNER = np.array([1, 2, 3, 0])
-WALL_DIRECTIONS = np.stack([np.cos(WALL_HEADINGS), np.sin(WALL_HEADINGS)], axis=-1)
-OUTWARD = np.array([1, 3, 0, 2])  # of the directions left, below, right, above, those of walls
 WALL_ACROSS = 1 - WALL_ALONG
+TINY_M = 1e-6  # far above the rounding of positions
 
 
-def out_of_reach(
-    offset: np.ndarray, diagonal: Lengths, other: Lengths, travel: Lengths
-) -> np.ndarray:
-    """Return where the circles around two rectangles are apart, which highway-env tests first.
-
-    Args:
-        offset: from the first centre to the second, shape (..., 2).
-        diagonal, other: of the two rectangles, of a shape broadcastable to (...) [m].
-        travel: signed speed times dt of the first, likewise; as in highway-env, the circles shrink
-            in reverse.
-    """
-    return np.sqrt(np.vecdot(offset, offset)) > (diagonal + other) / 2 + travel
+def length_of(vector: np.ndarray) -> np.ndarray:
+    """Return the lengths of vectors of shape (..., 2), as highway-env computes them."""
+    length: np.ndarray = np.sqrt(np.vecdot(vector, vector))
+    return length
 
 
 def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -66,7 +58,7 @@ def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.
     normals = np.empty((n, 8, 2))
     np.negative(edges[..., 1].reshape(n, 8), out=normals[..., 0])
     normals[..., 1] = edges[..., 0].reshape(n, 8)
-    normals /= np.sqrt(np.vecdot(normals, normals))[..., None]
+    normals /= length_of(normals)[..., None]
     shadows = np.vecdot(polygons.transpose(2, 1, 0, 3)[:, :, :, None], normals)  # (4, 2, n, 8)
     low_a, low_b = np.minimum.reduce(shadows)
     high_a, high_b = np.maximum.reduce(shadows)
@@ -100,69 +92,99 @@ def extent(direction: np.ndarray) -> np.ndarray:
     return reach
 
 
-def walls_of(free: np.ndarray, wall: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and lengths of walls [m].
+def may_overlap(
+    offset: np.ndarray,
+    direction: np.ndarray,
+    half_size: np.ndarray,
+    other_direction: np.ndarray,
+    other_half_size: np.ndarray,
+) -> np.ndarray:
+    """Return a mask of n pairs of rectangles that are less than `TINY_M` apart along each side.
+
+    All arguments have a shape that broadcasts to (2, n).
 
     Args:
-        free: half the space between their inner faces, shape (2, n) [m].
-        wall: the number of one wall for each scene, shape (n,); None for all four.
-
-    Returns:
-        Centres of shape (n, 2) and lengths of shape (n,), or (n, 4, 2) and (n, 4) for all walls.
+        offset: from the first centre to the second [m].
+        direction, other_direction: cosine and sine of their headings.
+        half_size, other_half_size: half their lengths and widths [m].
     """
-    half = (free + WALL_THICKNESS_M / 2).T
-    if wall is None:
-        half = half[:, None]
-        wall = np.arange(N_WALLS)
-    lengths = 2 * np.where(WALL_ALONG[wall] == 0, half[..., 0], half[..., 1])
-    return half * WALL_SIDES[wall], lengths
+    turn = np.abs(_in_frame(other_direction, direction))
+    apart = np.abs(_in_frame(offset, direction)) - half_size
+    apart -= turn * other_half_size[0] + turn[::-1] * other_half_size[1]
+    other_apart = np.abs(_in_frame(offset, other_direction)) - other_half_size
+    other_apart -= turn * half_size[0] + turn[::-1] * half_size[1]
+    mask: np.ndarray = np.maximum(apart, other_apart).max(axis=0) < TINY_M
+    return mask
 
 
-def diagonals(length: np.ndarray) -> np.ndarray:
-    """Return the diagonals of walls, of the shape of their lengths [m]."""
-    return np.sqrt(length**2 + WALL_THICKNESS_M**2)
+def _in_frame(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return vectors along and across some directions, all of shape (2, n)."""
+    x, y = vector
+    cos, sin = direction
+    return np.array([x * cos + y * sin, y * cos - x * sin])
+
+
+@dataclass(frozen=True)
+class Fixtures:
+    """What never moves in n scenes: the walls, if there are any, then the obstacles."""
+
+    centres: np.ndarray  # shape (n, fixtures, 2) [m]
+    # The distance from a car's centre at which the circles around both touch, shape (n, fixtures)
+    # [m].
+    reach: np.ndarray
+    corners: np.ndarray  # shape (n, fixtures, 4, 2) [m]
+
+    def repeated(self, n: int) -> "Fixtures":
+        """Return those of one scene for n scenes, as views, which take no memory."""
+        shapes = [np.broadcast_to(array[0], (n, *array.shape[1:])) for array in vars(self).values()]
+        return Fixtures(*shapes)
 
 
 class Collisions:
     """Collisions of all scenes in a frame of `dt` seconds.
 
-    What can be hit is numbered: the `count` parked cars, then the walls, also where there are none,
-    then the obstacles.
+    What can be hit is numbered: the `count` parked cars, then the fixtures.
     """
 
     def __init__(self, dt: float, count: int, n_obstacles: int, *, walls: bool) -> None:
         self.dt = dt
         self.count = count
-        self.n_obstacles = n_obstacles
-        self.walls = walls
-        self._first_obstacle = count + N_WALLS
-        n_targets = self._first_obstacle + n_obstacles
-        first, second = np.triu_indices(count, k=1, m=n_targets)
-        if not walls:
-            is_wall = (second >= count) & (second < self._first_obstacle)
-            first = first[~is_wall]
-            second = second[~is_wall]
-        # Of what parked cars can hit, shape (pairs, 2).
-        self._pairs = np.stack([first, second], axis=1)
+        self.n_walls = N_WALLS if walls else 0
+        self.n_fixtures = self.n_walls + n_obstacles
+        # Of what parked cars can hit: pairs of numbers, in highway-env's order.
+        self._first, self._second = np.triu_indices(count, k=1, m=count + self.n_fixtures)
 
-    def resolve(self, state: SceneState) -> None:
+    def fixtures(self, state: SceneState) -> Fixtures:
+        """Return what `resolve` needs in all frames of the same scenes."""
+        parts = [obstacles_at(state.obstacles)]
+        if self.n_walls:
+            parts.insert(0, walls_around(state.free))
+        rectangles = joined(parts)
+        heading = rectangles.heading
+        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        length, width = np.moveaxis(rectangles.size, -1, 0)
+        shapes = corners(rectangles.centre, direction, length, width)
+        reach = (CAR_DIAGONAL_M + rectangles.diagonal) / 2
+        return Fixtures(rectangles.centre, reach, shapes)
+
+    def resolve(self, state: SceneState, fixtures: Fixtures) -> None:
         """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the
         state.
         """
-        self._resolve_cars(state)
-        # Parked cars stand apart until one of them is pushed.
-        if state.disturbed.any():
-            self._resolve_parked_cars(state)
+        self._resolve_cars(state, fixtures)
+        # Parked cars stand apart until one of them has been pushed.
+        if self.count and state.pushed.any():
+            self._resolve_parked_cars(state, fixtures)
 
-    def _resolve_cars(self, state: SceneState) -> None:
-        scene, target = self._near_cars(state)
+    def _resolve_cars(self, state: SceneState, fixtures: Fixtures) -> None:
+        scene, target, shapes = self._near_cars(state, fixtures)
         if not len(scene):
             return
         polygons = np.empty((len(scene), 2, 4, 2))
         position = state.position.take(scene, axis=1)
         direction = state.direction.take(scene, axis=1)
         polygons[:, 0] = corners(position.T, direction.T, CAR_LENGTH_M, CAR_WIDTH_M)
-        polygons[:, 1] = self._corners(state, scene, target)
+        polygons[:, 1] = shapes
         displacement = (state.speed[scene] * direction).T * self.dt
         now, soon, push = separating_axis(polygons, displacement)
         state.crashed[scene[now]] = True
@@ -178,119 +200,83 @@ class Collisions:
         if self.count:
             is_vehicle = target < self.count
             push[is_vehicle] /= 2
-            state.disturbed[scene[is_vehicle]] = True
             _set_impacts(state, scene[is_vehicle], 1 + target[is_vehicle], -push[is_vehicle])
         _set_impacts(state, scene, 0, push)
 
-    def _resolve_parked_cars(self, state: SceneState) -> None:
-        scene, pair = self._near_pairs(state)
-        if not len(scene):
-            return
-        scenes = np.stack([scene, scene], axis=1)
-        targets = self._pairs[pair]
-        polygons = self._corners(state, scenes.ravel(), targets.ravel()).reshape(-1, 2, 4, 2)
-        _, soon, push = separating_axis(polygons, np.zeros((len(pair), 2)))
+    def _near_cars(
+        self, state: SceneState, fixtures: Fixtures
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return scenes, numbers and corners of what the cars may touch, in highway-env's order."""
+        travel = state.speed * self.dt
+        scene, fixture = self._near_fixtures(state, fixtures, travel)
+        target = self.count + fixture
+        shapes = fixtures.corners[scene, fixture]
+        if not self.count:
+            return scene, target, shapes
+        offset = state.vehicles - state.position.T[:, None]
+        near = np.nonzero(length_of(offset) <= CAR_DIAGONAL_M + travel[:, None])
+        cars = _parked_cars(state.vehicles[near], state.vehicle_heading[near])
+        vehicle_scene, vehicle = near
+        return (
+            np.concatenate([vehicle_scene, scene]),
+            np.concatenate([vehicle, target]),
+            np.concatenate([cars, shapes]),
+        )
 
-        scenes = scenes[soon]
+    def _near_fixtures(
+        self, state: SceneState, fixtures: Fixtures, travel: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return scenes, and numbers of the fixtures in them that the cars may touch."""
+        maybe = np.ones((len(travel), self.n_fixtures), bool)
+        if self.n_walls:
+            # The circles around the walls cover most of the lot: first drop cars that cannot reach
+            # the line of a wall.
+            ahead = np.maximum(WALL_SIDES @ (travel * state.direction), 0)
+            ahead += WALL_SIDES @ state.position
+            free = state.free - extent(state.direction) - TINY_M
+            maybe[:, : self.n_walls] = (ahead > free[WALL_ACROSS]).T
+        scene, fixture = np.nonzero(maybe)
+        if not len(scene):
+            return scene, fixture
+        offset = fixtures.centres[scene, fixture] - state.position.take(scene, axis=1).T
+        reach = fixtures.reach[scene, fixture] + travel[scene]
+        near = length_of(offset) <= reach
+        return scene[near], fixture[near]
+
+    def _resolve_parked_cars(self, state: SceneState, fixtures: Fixtures) -> None:
+        scenes = np.flatnonzero(state.pushed.any(axis=1))
+        vehicles = state.vehicles[scenes]
+        cars = _parked_cars(vehicles, state.vehicle_heading[scenes])
+        centres = np.concatenate([vehicles, fixtures.centres[scenes]], axis=1)
+        shapes = np.concatenate([cars, fixtures.corners[scenes]], axis=1)
+        reach = np.full(centres.shape[:2], CAR_DIAGONAL_M)
+        reach[:, self.count :] = fixtures.reach[scenes]
+        pushed = np.zeros(centres.shape[:2], bool)
+        pushed[:, : self.count] = state.pushed[scenes]
+
+        row, pair = np.nonzero(pushed[:, self._first] | pushed[:, self._second])
+        first = self._first[pair]
+        second = self._second[pair]
+        offset = centres[row, second] - centres[row, first]
+        near = length_of(offset) <= reach[row, second]
+        row = row[near, None]
+        targets = np.stack([first[near], second[near]], axis=1)
+        _, soon, push = separating_axis(shapes[row, targets], np.zeros((len(row), 2)))
+
         targets = targets[soon]
         push = push[soon]
         is_vehicle = targets < self.count
         push[is_vehicle[:, 1]] /= 2
         # Pair by pair, since the last push of a frame counts.
         pushes = np.stack([push, -push], axis=1)
-        _set_impacts(state, scenes[is_vehicle], 1 + targets[is_vehicle], pushes[is_vehicle])
-
-    def _near_pairs(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
-        """Return scenes, and numbers of the pairs in them of which a parked car may touch the
-        other.
-        """
-        disturbed = np.flatnonzero(state.disturbed)
-        n = len(disturbed)
-        walls, lengths = walls_of(state.free[:, disturbed])
-        parts = [state.vehicles[disturbed], walls, state.obstacles[disturbed]]
-        positions = np.concatenate(parts, axis=1)
-        cars = np.full((n, self.count), CAR_DIAGONAL_M)
-        obstacles = np.full((n, self.n_obstacles), OBSTACLE_DIAGONAL_M)
-        diagonal = np.concatenate([cars, diagonals(lengths), obstacles], axis=1)
-        first, second = self._pairs.T
-        offset = positions[:, second] - positions[:, first]
-        apart = out_of_reach(offset, CAR_DIAGONAL_M, diagonal[:, second], 0.0)
-        row, pair = np.nonzero(~apart)
-        return disturbed[row], pair
-
-    def _corners(self, state: SceneState, scene: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the corners of what can be hit, shape (n, 4, 2)."""
-        is_vehicle = target < self.count
-        is_obstacle = target >= self._first_obstacle
-        is_wall = ~(is_vehicle | is_obstacle)
-        target_corners = np.empty((len(scene), 4, 2))
-        wall = target[is_wall] - self.count
-        if len(wall):
-            centres, lengths = walls_of(state.free[:, scene[is_wall]], wall)
-            target_corners[is_wall] = corners(
-                centres, WALL_DIRECTIONS[wall], lengths, WALL_THICKNESS_M
-            )
-        if self.n_obstacles:
-            number = target[is_obstacle] - self._first_obstacle
-            places = state.obstacles[scene[is_obstacle], number]
-            direction = np.tile([1.0, 0.0], (len(places), 1))
-            target_corners[is_obstacle] = corners(places, direction, OBSTACLE_M, OBSTACLE_M)
-        if self.count:
-            index = scene[is_vehicle], target[is_vehicle]
-            heading = state.vehicle_heading[index]
-            direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-            target_corners[is_vehicle] = corners(
-                state.vehicles[index], direction, CAR_LENGTH_M, CAR_WIDTH_M
-            )
-        return target_corners
-
-    def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
-        """Return scenes and numbers of what the cars may touch, in highway-env's order."""
-        travel = state.speed * self.dt
-        scenes = []
-        targets = []
-        if self.count:
-            scene, vehicle = _within_reach(state, state.vehicles, CAR_DIAGONAL_M, travel)
-            scenes.append(scene)
-            targets.append(vehicle)
-        scene, wall = self._near_walls(state, travel)
-        scenes.append(scene)
-        targets.append(self.count + wall)
-        if self.n_obstacles:
-            scene, obstacle = _within_reach(state, state.obstacles, OBSTACLE_DIAGONAL_M, travel)
-            scenes.append(scene)
-            targets.append(self._first_obstacle + obstacle)
-        return np.concatenate(scenes), np.concatenate(targets)
-
-    def _near_walls(self, state: SceneState, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if not self.walls:
-            return np.empty(0, int), np.empty(0, int)
-        # The circles around the walls cover most of the lot: first drop cars that cannot reach the
-        # line of a wall.
-        reach = extent(state.direction) + 1e-9
-        motion = travel * state.direction
-        left_below = reach - state.position - np.minimum(motion, 0)
-        right_above = reach + state.position + np.maximum(motion, 0)
-        outward = np.concatenate((left_below, right_above))[OUTWARD]
-        scene, wall = np.nonzero((outward > state.free[WALL_ACROSS]).T)
-        if not len(scene):
-            return scene, wall
-        centres, lengths = walls_of(state.free[:, scene], wall)
-        offset = centres - state.position.take(scene, axis=1).T
-        near = ~out_of_reach(offset, CAR_DIAGONAL_M, diagonals(lengths), travel[scene])
-        return scene[near], wall[near]
+        scene = np.broadcast_to(scenes[row[soon]], targets.shape)
+        _set_impacts(state, scene[is_vehicle], 1 + targets[is_vehicle], pushes[is_vehicle])
 
 
-def _within_reach(
-    state: SceneState, places: np.ndarray, diagonal: float, travel: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return scenes, and numbers of the places in them, shape (n, places, 2), that the cars may
-    touch.
-    """
-    offset = places - state.position.T[:, None]
-    apart = out_of_reach(offset, CAR_DIAGONAL_M, diagonal, travel[:, None])
-    scene, number = np.nonzero(~apart)
-    return scene, number
+def _parked_cars(position: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    """Return the corners of parked cars, shape (..., 4, 2); positions have the shape (..., 2)."""
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return corners(position, direction, CAR_LENGTH_M, CAR_WIDTH_M)
 
 
 def _set_impacts(

@@ -1,5 +1,6 @@
 """State of many scenes as arrays."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,6 +12,18 @@ from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
 SCALES = np.array(DEFAULT_SCALES, np.float64)
 COLUMNS = ("position", "direction", "free")
+# What collisions and driving change.
+MOVING = (
+    "position",
+    "heading",
+    "direction",
+    "speed",
+    "crashed",
+    "vehicles",
+    "hit",
+    "impact",
+    "pushed",
+)
 
 
 @dataclass
@@ -36,7 +49,7 @@ class SceneState:
     hit: np.ndarray
     # What a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m].
     impact: np.ndarray
-    disturbed: np.ndarray  # whether a parked car has been hit, shape (n,)
+    pushed: np.ndarray  # whether parked cars have ever been displaced, shape (n, vehicles)
 
     @classmethod
     def at_start(cls, scenes: Scenes) -> Self:
@@ -63,7 +76,7 @@ class SceneState:
             obstacles=scenes.obstacles.copy(),
             hit=np.zeros((n, 1 + count), bool),
             impact=np.zeros((n, 1 + count, 2)),
-            disturbed=np.zeros(n, bool),
+            pushed=np.zeros((n, count), bool),
         )
 
     def take(self, rows: np.ndarray) -> Self:
@@ -75,9 +88,10 @@ class SceneState:
             }
         )
 
-    def put(self, rows: np.ndarray, other: Self) -> None:
-        """Replace the state of some scenes."""
-        for name, array in vars(self).items():
+    def put(self, rows: np.ndarray, other: Self, names: Iterable[str] | None = None) -> None:
+        """Replace the state of some scenes, or only what is named."""
+        for name in names or vars(self):
+            array = getattr(self, name)
             array[(slice(None), rows) if name in COLUMNS else rows] = getattr(other, name)
 
 

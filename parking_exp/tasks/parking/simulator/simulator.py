@@ -6,6 +6,7 @@ the step, nearly all, are integrated at once; the others frame by frame, in high
 limit the action, move, apply the impact of the frame before, detect collisions.
 """
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -14,31 +15,34 @@ from parking_exp.tasks.parking.geometry import (
     CAR_DIAGONAL_M,
     CAR_LENGTH_M,
     CAR_WIDTH_M,
-    OBSTACLE_M,
-    WALL_HEADINGS,
-    WALL_THICKNESS_M,
+    cars_at,
+    joined,
+    obstacles_at,
+    walls_around,
 )
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
-from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES, ParkingConfig
+from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, ParkingConfig
 from parking_exp.tasks.parking.pose import Pose, relative_pose
-from parking_exp.tasks.parking.rays import ray_distances, rectangles_of
+from parking_exp.tasks.parking.rays import ray_distances
 from parking_exp.tasks.parking.reward import reward_of
-from parking_exp.tasks.parking.scenes import Scenes
-from parking_exp.tasks.parking.simulator.collisions import Collisions, extent, walls_of
+from parking_exp.tasks.parking.scenes import MOST_SCENES, Scenes
+from parking_exp.tasks.parking.simulator.collisions import Collisions, Fixtures, extent, may_overlap
 from parking_exp.tasks.parking.simulator.dynamics import (
     Range,
     advance,
     limited_acceleration,
     slip_angle,
 )
-from parking_exp.tasks.parking.simulator.scene_state import SceneState
+from parking_exp.tasks.parking.simulator.scene_state import MOVING, SCALES, SceneState
 from parking_exp.tasks.task import Step
 
 # highway-env's own ranges, where the config has none: of ContinuousAction and of Vehicle.
 ACCELERATION_RANGE_MPS2: Range = (-5.0, 5.0)
 STEERING_RANGE_RAD: Range = (-np.pi / 4, np.pi / 4)
 SPEED_RANGE_MPS: Range = (-40.0, 40.0)
+
+HALF_CAR_M = np.array([[CAR_LENGTH_M / 2], [CAR_WIDTH_M / 2]])
 
 
 class Simulator:
@@ -50,8 +54,8 @@ class Simulator:
         action = config.action
         acceleration = action.acceleration_range or ACCELERATION_RANGE_MPS2
         ranges = [acceleration, action.steering_range or STEERING_RANGE_RAD]
-        self._low = np.array([low for low, _ in ranges])
-        self._span = np.array([high - low for low, high in ranges])
+        self._low = np.array([[low] for low, _ in ranges])
+        self._span = np.array([[high - low] for low, high in ranges])
         low, high = action.speed_range or SPEED_RANGE_MPS
         self.speed_range = (low, high)
         self.clip = action.clip
@@ -63,8 +67,8 @@ class Simulator:
         self.n_seen = config.observation.vehicles_count
         self.rays = config.observation.rays
         self.rays_range_m = config.observation.rays_range_m
-        self.scales = np.array(DEFAULT_SCALES, np.float64)
-        self._row_m = lot_of(config).nearest_row_m
+        lot = lot_of(config)
+        self._row_m = lot.nearest_row_m
         self._collisions = Collisions(
             self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls
         )
@@ -73,6 +77,10 @@ class Simulator:
             f"scenes have {sizes} vehicles and obstacles"
         )
         self.start(scenes)
+        self._fixtures: Fixtures | None = None  # None: made anew in each step
+        if lot.same_walls and not config.obstacles:
+            of_one = self._collisions.fixtures(self.state.take(np.array([0])))
+            self._fixtures = of_one.repeated(MOST_SCENES)
 
     def __len__(self) -> int:
         return len(self.state.heading)
@@ -91,45 +99,38 @@ class Simulator:
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
         """Return the observation of all scenes, or of some."""
         pose = self._pose(rows)
-        scaled = np.divide(pose, self.scales, order="C")
-        seen = [scaled]
+        seen = [pose]
         if self.n_seen:
-            seen.append(self._observe_vehicles(pose, rows))
+            seen.append(self._observe_vehicles(rows))
         if self.rays:
-            seen.append(self._observe_rays(pose, rows))
+            seen.append(self._observe_rays(rows))
         return {
             "observation": np.concatenate(seen, axis=1),
-            "achieved_goal": scaled,
+            "achieved_goal": pose,
             "desired_goal": self.state.goal_features[rows].copy(),
         }
 
-    def _observe_vehicles(self, pose: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
+    def _observe_vehicles(self, rows: np.ndarray | slice) -> np.ndarray:
         """Return what the cars see of parked cars and obstacles."""
         state = self.state
         obstacles = state.obstacles[rows]
         others = np.concatenate([state.vehicles[rows], obstacles], axis=1)
         headings = [state.vehicle_heading[rows], np.zeros(obstacles.shape[:2])]
         heading = np.concatenate(headings, axis=1)
-        return nearest_vehicles(pose[:, :2], others, heading, self.n_seen)
+        return nearest_vehicles(state.position[:, rows].T, others, heading, self.n_seen)
 
-    def _observe_rays(self, pose: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
+    def _observe_rays(self, rows: np.ndarray | slice) -> np.ndarray:
         """Return the distances that the cars see along rays, as shares of the range."""
         state = self.state
-        obstacles = state.obstacles[rows]
         parts = [
-            rectangles_of(
-                state.vehicles[rows], state.vehicle_heading[rows], CAR_LENGTH_M, CAR_WIDTH_M
-            ),
-            rectangles_of(obstacles, np.zeros(obstacles.shape[:2]), OBSTACLE_M, OBSTACLE_M),
+            cars_at(state.vehicles[rows], state.vehicle_heading[rows]),
+            obstacles_at(state.obstacles[rows]),
         ]
         if self.walls:
-            places, lengths = walls_of(state.free[:, rows])
-            headings = np.tile(WALL_HEADINGS, (len(pose), 1))
-            parts.append(rectangles_of(places, headings, lengths, WALL_THICKNESS_M))
-        rectangles = np.concatenate(parts, axis=-1)
-        position = pose.T[:2]
-        direction = pose.T[4:]
-        distances = ray_distances(position, direction, rectangles, self.rays, self.rays_range_m)
+            parts.append(walls_around(state.free[:, rows]))
+        position = state.position[:, rows]
+        direction = state.direction[:, rows]
+        distances = ray_distances(position, direction, joined(parts), self.rays, self.rays_range_m)
         return distances / self.rays_range_m
 
     def step(self, actions: np.ndarray) -> Step:
@@ -142,17 +143,12 @@ class Simulator:
             actions = actions.astype(np.float64)
         assert actions.shape == (len(self), 2), f"actions have the shape {actions.shape}"
         acceleration, steering = self.controls(actions)
-        position = state.position
-        heading = state.heading
-        speed = state.speed
+        before = copy(state)
         rows = self._drive(acceleration, steering)
         if len(rows):
-            part = state.take(rows)
-            part.position = position[:, rows]
-            part.heading = heading[rows]
-            part.speed = speed[rows]
+            part = before.take(rows)
             self._drive_by_frames(part, acceleration[rows], steering[rows])
-            state.put(rows, part)
+            state.put(rows, part, MOVING)
         state.steps += 1
         return self._outcome()
 
@@ -185,14 +181,15 @@ class Simulator:
         """Return the accelerations and steering angles that actions ask for, shape (2, n) [m/s2,
         rad]; actions have the shape (n, 2).
         """
+        scaled = np.ascontiguousarray(actions.T)
         if self.clip:
-            actions = np.minimum(np.maximum(actions, -1), 1)
+            scaled = np.minimum(np.maximum(scaled, -1), 1)
         # From [-1, 1] to the ranges, in the precision of the actions, as highway-env does.
-        scaled = actions - -1
+        scaled = scaled - -1
         scaled *= self._span.astype(actions.dtype)
         scaled /= 2
         scaled += self._low.astype(actions.dtype)
-        return scaled.T.astype(np.float64)
+        return scaled.astype(np.float64)
 
     def _drive(self, acceleration: np.ndarray, steering: np.ndarray) -> np.ndarray:
         """Integrate all frames of a step as if there were no obstacles; return the rows where that
@@ -237,28 +234,48 @@ class Simulator:
         uncertain |= slowest < low
         uncertain |= fastest > high
         ahead = np.maximum(fastest, -slowest) * self.dt
+        # Before the end of the step, the car was turned by at most this [rad], and its corners were
+        # away by at most `swing` for it.
+        turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
+        swing = turn * (CAR_DIAGONAL_M / 2)
         if self.walls:
-            # At the end the car reaches this far along both axes; before, it was turned by at most
-            # `turn`.
-            reach = extent(state.direction)
-            turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
-            near = farthest + reach + (ahead + turn * (CAR_DIAGONAL_M / 2)) > state.free
+            near = farthest + extent(state.direction) + (ahead + swing) > state.free
             uncertain |= near[0]
             uncertain |= near[1]
-        reach_m = ahead * (self.frames + 1) + CAR_DIAGONAL_M
+        # From the end of the first frame to where the car would be a frame after the last, it goes
+        # this far; its course differs from its heading in the end by the turn and the slip.
+        motion = ahead * self.frames
         if state.vehicles.shape[1]:
-            uncertain |= self._near_vehicles(reach_m)
+            swept = np.array([motion, motion * (turn + np.abs(sin_slip))])
+            swept += swing + HALF_CAR_M
+            uncertain[self._near_vehicles(motion + CAR_DIAGONAL_M, swept)] = True
         if state.obstacles.shape[1]:
-            uncertain |= _any_within(reach_m, state.position, state.obstacles)
+            within = _within(motion + CAR_DIAGONAL_M, state.position, state.obstacles)
+            uncertain |= within.any(axis=1)
         return uncertain
 
-    def _near_vehicles(self, reach: np.ndarray) -> np.ndarray:
-        """Return a mask of the scenes where a parked car is near, or has been moved."""
+    def _near_vehicles(self, reach: np.ndarray, swept: np.ndarray) -> np.ndarray:
+        """Return the scenes where a car may touch a parked one in its place.
+
+        Args:
+            reach: of the cars for centres of parked ones, shape (n,) [m].
+            swept: half length and half width of a rectangle around each car that it doesn't leave
+                in the step, shape (2, n) [m].
+        """
         state = self.state
-        near: np.ndarray = state.disturbed.copy()
         close = np.flatnonzero(np.abs(state.position[1]) + reach > self._row_m)
-        near[close] |= _any_within(reach[close], state.position[:, close], state.vehicles[close])
-        return near
+        within = _within(reach[close], state.position[:, close], state.vehicles[close])
+        row, vehicle = np.nonzero(within)
+        scene = close[row]
+        heading = state.vehicle_heading[scene, vehicle]
+        touching = may_overlap(
+            state.vehicles[scene, vehicle].T - state.position[:, scene],
+            state.direction[:, scene],
+            swept[:, scene],
+            _direction(heading),
+            HALF_CAR_M,
+        )
+        return scene[touching]
 
     def _drive_by_frames(
         self, state: SceneState, acceleration: np.ndarray, steering: np.ndarray
@@ -271,6 +288,7 @@ class Simulator:
         limited = fastest.max() > min(-low, high)
         slip = slip_angle(steering)
         sin_slip = np.sin(slip)
+        fixtures = self._fixtures or self._collisions.fixtures(state)
         for _ in range(self.frames):
             if state.crashed.any():
                 slip[state.crashed] = sin_slip[state.crashed] = 0.0  # no steering, and full brakes
@@ -287,22 +305,26 @@ class Simulator:
                 self.dt,
             )
             if state.hit.any():
-                impact = np.where(state.hit[..., None], state.impact, 0.0)
-                state.position += impact[:, 0].T
-                state.vehicles += impact[:, 1:]
+                state.position += state.impact[:, 0].T
+                state.vehicles += state.impact[:, 1:]
                 state.crashed |= state.hit[:, 0]
+                state.pushed |= state.hit[:, 1:]
                 state.hit[:] = False
+                state.impact[:] = 0.0
             state.direction = _direction(state.heading)
-            self._collisions.resolve(state)
+            self._collisions.resolve(state, fixtures)
 
-    def _pose(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Return x, y, vx, vy, cos_h, sin_h of the cars, shape (n, 6), in m and m/s."""
+    def _pose(self, rows: np.ndarray | slice) -> np.ndarray:
+        """Return x, y, vx, vy, cos_h, sin_h of the cars, in units of the observation. Shape
+        (n, 6).
+        """
         state = self.state
-        pose = np.empty((6, len(state.heading[rows])))
+        pose = np.empty((len(DEFAULT_FEATURES), len(state.heading[rows])))
         pose[:2] = state.position[:, rows]
         pose[4:] = state.direction[:, rows]
         np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
-        return pose.T
+        pose /= SCALES[:, None]
+        return np.ascontiguousarray(pose.T)
 
     def _outcome(self) -> Step:
         state = self.state
@@ -321,13 +343,12 @@ class Simulator:
         )
 
 
-def _any_within(reach: np.ndarray, position: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return whether any of the places, shape (n, places, 2), is within a car's reach, shape
-    (n,).
-    """
+def _within(reach: np.ndarray, position: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return which of the places, shape (n, places, 2), are within a car's reach, shape (n,)."""
     offset = places - position.T[:, None]
     squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
-    return (squared < reach[:, None] ** 2).any(axis=1)
+    within: np.ndarray = squared < reach[:, None] ** 2
+    return within
 
 
 def _direction(heading: np.ndarray) -> np.ndarray:
