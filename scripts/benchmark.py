@@ -4,6 +4,8 @@
 Measurements alternate between both sides.
 
 simulator.*            env steps/s against highway-env, random actions, 512 or 8 scenes at once
+simulator.*.envpool.ratio  env steps/s against EnvPool in one thread, 1 to 16 scenes at once; no
+                       target
 evaluation.*           seconds to evaluate a trained policy on 500 scenes
 update.*               updates/s, sampling included, against Stable-Baselines3's train();
                        3x256 with precision=medium
@@ -31,6 +33,7 @@ Arguments:
                        nothing
 
 update.*.sbx.ratio needs: pip install 'parking-exp[bench]'
+simulator.*.envpool.ratio needs: pip install envpool
 """
 
 import os
@@ -49,6 +52,7 @@ from parking_exp.resources import cores
 from parking_exp.runs.atomic_files import read_json, write_json
 
 VERSIONS = ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy", "sbx-rl", "jax")
+PEERS = {".sbx.": "sbx-rl", ".envpool.": "envpool"}  # packages that some figures need
 
 
 @dataclass
@@ -105,8 +109,11 @@ def main() -> None:
     about = {"quick": settings.quick, "core": settings.core, "versions": versions}
     print(f"{'figure':<30}{'median':>9}  {'range':<19}{'target':<10}  peer")
     for key, figure in chosen.items():
-        if ".sbx." in key and "sbx-rl" not in installed:
-            print(f"{key:<30}{'-':>9}  sbx is not installed")
+        missing = [
+            package for part, package in PEERS.items() if part in key and package not in installed
+        ]
+        if missing:
+            print(f"{key:<30}{'-':>9}  {missing[0]} is not installed")
             continue
         results[key] = {**figure.measure(), "about": about}
         print(_row(key, figure.sign, figure.bound, results[key]), flush=True)

@@ -53,6 +53,7 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
             1000,
             partial(simulation.stepping, "parking_parallel", 512, rounds, step_s, rays=32),
         ),
+        **_against_envpool(rounds, step_s),
         "evaluation.500_scenes.wall_s": Figure(
             "<=", 1, partial(simulation.evaluation, 50 if quick else 500, rounds)
         ),
@@ -90,6 +91,15 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
             "<=", 2, partial(sweeps.scan, rounds, *((2, "buffer=replay") if quick else (30,)))
         ),
     }
+
+
+def _against_envpool(rounds: int, seconds_per_side: float) -> dict[str, Figure]:
+    """Return the figures of the simulator against EnvPool, which have no target."""
+    figures = {}
+    for n_scenes in (1, 2, 4, 8, 16):
+        measure = partial(simulation.against_envpool, n_scenes, rounds, seconds_per_side)
+        figures[f"simulator.n{n_scenes}.envpool.ratio"] = Figure(">=", 0, measure)
+    return figures
 
 
 def _updates(rounds: int, *, quick: bool) -> dict[str, Figure]:

@@ -116,6 +116,7 @@ class HighwayBatch(EnvBatch):
 
     def __init__(self, config: ParkingConfig, scenes: Sequence[int]) -> None:
         super().__init__([make_env(config) for _ in scenes], scenes, "crashed")
+        self.config = config
         for env in self.envs:
             skip_unused_work(env)
 
@@ -124,5 +125,7 @@ class HighwayBatch(EnvBatch):
         lot = self.envs[row].unwrapped
         car = lot.vehicle
         goal = car.goal.position, car.goal.heading
-        slot_size = getattr(lot, "slot_size", (SLOT_LENGTH_M, SLOT_WIDTH_M))
+        slot_size = (SLOT_LENGTH_M, SLOT_WIDTH_M)
+        if self.config.lot is not None:
+            slot_size = lot.slot_size
         return relative_pose(car.position, car.heading, car.speed, *goal, slot_size)

@@ -178,6 +178,9 @@ class ParkingConfig(TaskConfig):
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
         if self.starts != "lot" and self.simulator != "vectorized":
             yield f"env.starts={self.starts} needs env.simulator=vectorized"
+        # A stored config has the numbers of its level, and no levels.
+        if self.level and self.levels and self.level not in self.levels:
+            yield f"env.level={self.level}: choose from {', '.join(self.levels)}"
         if self.lot is None and self.vehicles_range[1] > MAX_VEHICLES:
             yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"
         if self.lot is not None:
