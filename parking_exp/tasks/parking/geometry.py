@@ -66,6 +66,16 @@ def corners(
     return np.add(rotated, position[..., None, :], order="C")
 
 
+def extent(direction: np.ndarray) -> np.ndarray:
+    """Return how far cars reach from their centres along x and y; direction and result have the
+    shape (2, n).
+    """
+    share = np.abs(direction)
+    reach: np.ndarray = share * (CAR_LENGTH_M / 2)
+    reach += share[::-1] * (CAR_WIDTH_M / 2)
+    return reach
+
+
 @dataclass(frozen=True)
 class Rectangles:
     """Rectangles with a direction, in arrays of any shape."""

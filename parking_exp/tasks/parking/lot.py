@@ -121,12 +121,9 @@ class ParametricLot:
         angle = np.radians(config.angle_deg)
         sin = np.sin(angle)
         cos = np.cos(angle)
-        if config.pitch_m is None:
-            pitch = config.closest_pitch_m(slot_length, slot_width)
-        else:
-            pitch = np.full(len(aisle), config.pitch_m)
+        pitch = config.drawn_pitch_m(slot_length, slot_width)
         depth = slot_length * sin + slot_width * cos
-        half_row = (slot_length * cos + slot_width * sin + (config.slots_per_row - 1) * pitch) / 2
+        half_row = config.half_row_m(slot_length, slot_width)
 
         left = half_row + config.end_m
         right = half_row + (GAP_M if config.dead_end else config.end_m)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from parking_exp.config_model import Bounds, ConfigModel
-from parking_exp.tasks.parking.geometry import CAR_DIAGONAL_M, CAR_LENGTH_M, CAR_WIDTH_M
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, extent
 
 TINY = 1e-9
 MAX_M = 1000.0
@@ -101,6 +101,25 @@ class LotConfig(ConfigModel):
         one_behind_the_other = slot_length_m / max(math.cos(angle), TINY)
         return np.minimum(side_by_side, one_behind_the_other)
 
+    def drawn_pitch_m(
+        self, slot_length_m: np.ndarray | float, slot_width_m: np.ndarray | float
+    ) -> np.ndarray:
+        """Return the distances from slot to slot along the aisle, for slots of some sizes."""
+        closest = self.closest_pitch_m(slot_length_m, slot_width_m)
+        if self.pitch_m is None:
+            return closest
+        return np.full_like(closest, self.pitch_m)
+
+    def half_row_m(
+        self, slot_length_m: np.ndarray | float, slot_width_m: np.ndarray | float
+    ) -> np.ndarray:
+        """Return half the lengths of rows of slots of some sizes."""
+        angle = np.radians(self.angle_deg)
+        slot = slot_length_m * np.cos(angle) + slot_width_m * np.sin(angle)
+        pitch = self.drawn_pitch_m(slot_length_m, slot_width_m)
+        half: np.ndarray = (slot + (self.slots_per_row - 1) * pitch) / 2
+        return half
+
     def problems(self, vehicles: tuple[int, int], *, walls: bool) -> Iterator[str]:
         """Yield a sentence for each reason why there can't be such a lot.
 
@@ -133,7 +152,9 @@ class LotConfig(ConfigModel):
                 f"env.lot.starts need {2 * farthest:.3g} m"
             )
         right = GAP_M if self.dead_end else self.end_m
-        half_row = self._half_row_m()
+        length, _ = bounds(self.slot_length_m)
+        width, _ = bounds(self.slot_width_m)
+        half_row = float(self.half_row_m(length, width))
         ends = (-half_row - self.end_m, half_row + right)
         outside = starts.x_m[0] - along <= ends[0] or starts.x_m[1] + along >= ends[1]
         if walls and outside:
@@ -147,27 +168,9 @@ class LotConfig(ConfigModel):
         aisle.
         """
         low, high = self.starts.heading_deg
-        if high - low >= 180:
-            return CAR_DIAGONAL_M / 2, CAR_DIAGONAL_M / 2
-        steps = 1 + math.ceil(high - low)
-        along = 0.0
-        across = 0.0
-        for step in range(steps + 1):
-            angle = math.radians(low + (high - low) * step / steps)
-            cos = abs(math.cos(angle)) / 2
-            sin = abs(math.sin(angle)) / 2
-            along = max(along, CAR_LENGTH_M * cos + CAR_WIDTH_M * sin)
-            across = max(across, CAR_LENGTH_M * sin + CAR_WIDTH_M * cos)
-        return along, across
-
-    def _half_row_m(self) -> float:
-        """Return half the length of the shortest rows of the scenes."""
-        length, _ = bounds(self.slot_length_m)
-        width, _ = bounds(self.slot_width_m)
-        angle = math.radians(self.angle_deg)
-        pitch = self.pitch_m or float(self.closest_pitch_m(length, width))
-        extent = length * math.cos(angle) + width * math.sin(angle)
-        return ((self.slots_per_row - 1) * pitch + extent) / 2
+        angles = np.radians(np.linspace(low, high, 1001))
+        along, across = extent(np.array([np.cos(angles), np.sin(angles)])).max(axis=1)
+        return float(along), float(across)
 
     def _vehicle_problems(self, vehicles: tuple[int, int]) -> Iterator[str]:
         low, high = vehicles

@@ -23,6 +23,7 @@ from parking_exp.tasks.parking.geometry import (
     WALL_ALONG,
     WALL_SIDES,
     corners,
+    extent,
     joined,
     obstacles_at,
     walls_around,
@@ -80,16 +81,6 @@ def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.
     away = np.where(np.vecdot(centres[:, 0] - centres[:, 1], normal) > 0, 1.0, -1.0)
     translation = (overlap[pairs, axis] * away)[:, None] * normal
     return ~apart.any(axis=1), ~will_be_apart.any(axis=1), translation
-
-
-def extent(direction: np.ndarray) -> np.ndarray:
-    """Return how far cars reach from their centres along x and y; direction and result have the
-    shape (2, n).
-    """
-    share = np.abs(direction)
-    reach: np.ndarray = share * (CAR_LENGTH_M / 2)
-    reach += share[::-1] * (CAR_WIDTH_M / 2)
-    return reach
 
 
 def may_overlap(

@@ -16,6 +16,7 @@ from parking_exp.tasks.parking.geometry import (
     CAR_LENGTH_M,
     CAR_WIDTH_M,
     cars_at,
+    extent,
     joined,
     obstacles_at,
     walls_around,
@@ -27,7 +28,7 @@ from parking_exp.tasks.parking.pose import Pose, relative_pose
 from parking_exp.tasks.parking.rays import ray_distances
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import MOST_SCENES, Scenes
-from parking_exp.tasks.parking.simulator.collisions import Collisions, Fixtures, extent, may_overlap
+from parking_exp.tasks.parking.simulator.collisions import Collisions, Fixtures, may_overlap
 from parking_exp.tasks.parking.simulator.dynamics import (
     Range,
     advance,
