@@ -35,7 +35,8 @@ WALL_HEADINGS = np.array([0.0, 0.0, np.pi / 2, np.pi / 2])
 WALL_ALONG = np.array([0, 0, 1, 1])
 N_WALLS = len(WALL_ALONG)
 
-OBSTACLE_SIZE_M = (2.0, 2.0)  # of highway-env's obstacles
+OBSTACLE_M = 2.0  # of highway-env's obstacles, which are squares
+OBSTACLE_SIZE_M = (OBSTACLE_M, OBSTACLE_M)
 
 # Of the corners of a rectangle, in its length and its width.
 ALONG = np.array([-0.5, -0.5, 0.5, 0.5])
