@@ -16,7 +16,7 @@ def benchmark(folder, *figures):
 
 @pytest.mark.slow
 def test_chosen_figures_are_measured_printed_and_added_to_the_file(tmp_path):
-    first, _ = benchmark(tmp_path, "simulator.n8")
+    first, _ = benchmark(tmp_path, "simulator.n8.ratio")
     assert list(first) == ["simulator.n8.ratio"]
     figures, printed = benchmark(
         tmp_path,

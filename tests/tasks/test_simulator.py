@@ -121,7 +121,7 @@ def test_a_scene_does_not_depend_on_its_neighbours():
 
 @pytest.mark.parametrize("option", ["parking_crowded", "parking_parallel", "parking_bays"])
 def test_scenes_far_from_contact_are_driven_as_frame_by_frame(option):
-    """A car that touches something is never missed: driving all frames of all scenes is the same."""
+    """A car that touches something is not missed: driving all frames of all scenes is the same."""
     config = env_config(f"env={option}", "env.action.acceleration_range=[-12,12]")
     rng = np.random.default_rng(0)
     scenes = lot_of(config).random(rng, 300)
