@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.statistics import wilson_interval
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.metrics import EPISODE_SEED, Episode, Metric, episode_columns, outcome
@@ -22,6 +23,7 @@ def evaluate(
     seeds: Sequence[int],
     on_step: Callable[[int], None] | None = None,
     simulator: str | None = None,
+    paths: PathRecorder | None = None,
 ) -> pd.DataFrame:
     """Run one episode from each seed and return one row per episode, in the order of `seeds`.
 
@@ -35,6 +37,7 @@ def evaluate(
         on_step: called after each step of a batch with the number of finished episodes; may raise
             to stop.
         simulator: one of the config's `simulators`; None: its `simulator`.
+        paths: records where the episodes are at each step.
 
     Raises:
         DivergenceError: an observation or a reward is not finite.
@@ -43,7 +46,7 @@ def evaluate(
     for first in range(0, len(seeds), task.batch_size):
         batch_seeds = list(seeds[first : first + task.batch_size])
         batch = task.evaluation_batch(batch_seeds, simulator)
-        _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_step)
+        _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_step, paths)
 
     in_order = [rows[seed] for seed in seeds]
     return pd.DataFrame(in_order, columns=episode_columns(task.metrics))
@@ -129,17 +132,22 @@ def _run_batch(
     seeds: np.ndarray,
     rows: dict[int, dict[str, Any]],
     on_step: Callable[[int], None] | None,
+    paths: PathRecorder | None,
 ) -> None:
     """Step a batch until all episodes have ended, and add the row of each to `rows` by its seed."""
     observation = batch.observe()
     returns = np.zeros(len(seeds))
     steps = 0
+    if paths is not None:
+        paths.record(batch, seeds, steps)
     while len(batch):
         step = batch.step(policy(observation))
         steps += 1
         check_finite({**step.observation, "reward": step.reward}, f"in step {steps} of an episode")
         returns += step.reward
         observation = step.observation
+        if paths is not None:
+            paths.record(batch, seeds, steps)
 
         done = step.terminated | step.truncated
         for index in np.flatnonzero(done).tolist():

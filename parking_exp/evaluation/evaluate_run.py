@@ -337,11 +337,7 @@ def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
     trained_on = agent.config.env
     requested: Any = request.env or {}
     if "task" not in requested:  # changes of the env of training
-        if "level" in requested:
-            raise ConfigError(
-                f"env.level={requested['level']}: a run keeps the numbers of its own level only; "
-                f"add env={trained_on.name}"
-            )
+        refuse(trained_on.change_problems(requested))
         merged = OmegaConf.merge(trained_on.model_dump(), requested)
         requested = OmegaConf.to_container(merged)
     if requested["task"] != trained_on.task:

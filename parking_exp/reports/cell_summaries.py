@@ -10,7 +10,7 @@ import pandas as pd
 
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import CellSummary, Curve, RunSummary
-from parking_exp.results.frames import Results
+from parking_exp.results.frames import TEXT, Results
 from parking_exp.statistics import (
     Interval,
     coverage_note,
@@ -21,7 +21,7 @@ from parking_exp.statistics import (
     normalised_area,
     steps_to,
 )
-from parking_exp.tasks.metrics import Metric
+from parking_exp.tasks.metrics import EPISODE_SEED, Metric
 from parking_exp.tasks.registry import FAILURES, METRICS, added_metrics, task_reports
 
 SUCCESS_THRESHOLD = 0.9
@@ -49,6 +49,7 @@ class RunEvaluations:
     curves: dict[str, pd.DataFrame]
     final: dict[str, pd.DataFrame]  # the final episodes
     whole_curves: set[str]  # runs with a rate at each evaluation
+    paths: pd.DataFrame  # `Results.paths`, with the outcome of each episode
 
 
 def split_by_run(results: Results) -> RunEvaluations:
@@ -60,7 +61,9 @@ def split_by_run(results: Results) -> RunEvaluations:
     curves = curves.assign(failure_rate=failures.bfill(axis=1).iloc[:, 0])
     final = results.episodes[results.episodes["phase"] == "final"]
     whole_curves = set(has_rate[has_rate].index)
-    return RunEvaluations(_group_by_run(curves), _group_by_run(final), whole_curves)
+    outcomes = final[["run_id", EPISODE_SEED, "outcome"]].astype({"run_id": TEXT})
+    paths = results.paths.merge(outcomes, on=["run_id", EPISODE_SEED])
+    return RunEvaluations(_group_by_run(curves), _group_by_run(final), whole_curves, paths)
 
 
 def _group_by_run(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -89,7 +92,7 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
         area=_average([seed.area for seed in seeds], is_rate=True),
         seeds=seeds,
         curve=_average_curves(curve_runs, evaluations),
-        task_data=_summarise_task(cell, seeds, evaluations),
+        **_summarise_task(cell, seeds, evaluations),
         **_describe_success(success),
         **_measure_time_to_90(seeds),
         **_metric_fields(means),
@@ -215,12 +218,13 @@ def _measure_time_to_90(seeds: Sequence[RunSummary]) -> dict[str, Any]:
 def _summarise_task(
     cell: CellRuns, seeds: Sequence[RunSummary], evaluations: RunEvaluations
 ) -> dict[str, Any]:
-    """Return what the sections of its task show of a cell."""
+    """Return the fields of a cell that hold what sections and figures of its task show."""
     final = [evaluations.final[seed.run_id] for seed in seeds if seed.run_id in evaluations.final]
-    data: dict[str, Any] = {}
+    paths = evaluations.paths[evaluations.paths["run_id"].isin(cell.done["run_id"])]
     for task in task_reports([cell.task]):
-        data |= task.rates(final, cell.config)
-    return data
+        data = task.rates(final, cell.config)
+        return {"task_data": data, "drawn": task.drawn(paths, cell.config)}
+    return {}
 
 
 def _average(

@@ -81,6 +81,7 @@ class CellSummary:
     survival: SurvivalCurve | None = None  # of the env steps until 90 % are held
     median_cpu_s: float | None = None  # to 90 %; None where fewer than half of the seeds reach it
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
+    drawn: Any = None  # what figures of its task show beside that; `report.json` lacks it
     note: str | None = None  # a sentence about an interval that is too narrow or missing
     further: Mapping[str, Interval] = field(default_factory=dict)  # reports' other metrics
 
@@ -216,6 +217,7 @@ class ReportData:
         """Return everything as JSON can hold it, with further metrics beside the others."""
         plain = asdict(self)
         for cell in plain["cells"]:
+            del cell["drawn"]
             cell.update(cell.pop("further") | cell.pop("task_data"))
             for seed in cell["seeds"]:
                 seed.update(seed.pop("further"))

@@ -61,6 +61,13 @@
                             float64   of parking; NaN where an episode has none
     gear_changes            int64     of parking
 
+`paths` has one row per step of the first 50 final episodes, of one run of each cell: the lowest
+seed that is done. Runs of some tasks have none, such as those of Gymnasium's environments.
+
+    run_id                  str
+    scene, step             int64     seed of the episode; policy step, 0 at the start
+    x_m, y_m, heading_rad   float64   of parking: the pose of the car, with its centre
+
 Metrics of users (`env.metrics`) come after the others: NAME_rate or NAME_mean in `runs`, before
 versions, and in `curves`; NAME in `episodes`.
 
@@ -77,8 +84,8 @@ gzipped CSV files, which `pandas.read_csv` reads as well, and a JSON file:
     report.json      problems; names of the experiments; the search, if there is one
 
 Left out are metrics that none of the runs has, such as those of other tasks; evaluation episodes
-during training; what `Results.episodes` has besides outcomes; and everything that names a place on
-the machine. Numbers are rounded to 6 significant digits.
+during training; what `Results.episodes` has besides outcomes; paths; and everything that names a
+place on the machine. Numbers are rounded to 6 significant digits.
 """
 
 from parking_exp.results.frame_export import read_export, write_export

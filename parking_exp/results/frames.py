@@ -19,12 +19,14 @@ from parking_exp.results.run_logs import (
     CURVE,
     CURVE_TYPES,
     EPISODES,
+    PATHS,
     config_reader,
     read_episodes,
+    read_paths,
     read_points,
 )
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
-from parking_exp.runs.run_files import CONFIG_FILE
+from parking_exp.runs.run_files import CONFIG_FILE, PATHS_FILE
 from parking_exp.tasks.registry import METRICS, added_metrics
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.embedded_store import prepare
@@ -68,6 +70,11 @@ TAG_COLUMNS = ("cell", "run_key", "seed", "status", "git_commit", "git_dirty", "
 """Tags that are columns of `runs` as they are."""
 
 
+def _no_paths() -> pd.DataFrame:
+    types = {"run_id": TEXT, **PATHS}
+    return pd.DataFrame(columns=[*types]).astype(types)
+
+
 @dataclass(frozen=True, eq=False)
 class Results:
     """Runs of a store and what they logged, as the frames that `help(parking_exp.results)`
@@ -80,6 +87,7 @@ class Results:
     uri: str  # the store
     problems: tuple[str, ...] = ()  # a sentence for each thing that is missing or broken
     about: Mapping[str, Any] = field(default_factory=dict)  # of an export: its report.json
+    paths: pd.DataFrame = field(repr=False, default_factory=_no_paths)
 
 
 def load(
@@ -127,6 +135,9 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     logs, log_problems = _read_files(store, runs, METRICS_FILE, read_points)
     finished = runs[runs["status"] != "running"]
     tables, table_problems = _read_files(store, finished, EPISODES_FILE, read_episodes)
+    # Figures show one run of a cell. Runs of earlier versions and of most tasks have no paths.
+    lowest_seeds = runs[runs["status"] == "done"].drop_duplicates(["experiment", "cell"])
+    paths, path_problems = _read_files(store, lowest_seeds, PATHS_FILE, read_paths, optional=True)
 
     points = _make_points(logs)
     last_steps = points.groupby("run_id")["step"].max()
@@ -136,7 +147,14 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
         curves=_make_curves(points),
         episodes=_make_episodes(tables, runs["run_id"]),
         uri=store.uri,
-        problems=(*_duplicates(runs), *config_problems, *log_problems, *table_problems),
+        problems=(
+            *_duplicates(runs),
+            *config_problems,
+            *log_problems,
+            *table_problems,
+            *path_problems,
+        ),
+        paths=_make_paths(paths),
     )
 
 
@@ -288,16 +306,30 @@ def _make_episodes(tables: Mapping[str, pd.DataFrame], run_ids: pd.Series) -> pd
     return pd.concat(parts, ignore_index=True).astype(types)
 
 
+def _make_paths(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Return `Results.paths` from the tables of runs, which are given by run id."""
+    parts = [_no_paths()]
+    for run_id, table in tables.items():
+        table.insert(0, "run_id", run_id)
+        parts.append(table)
+    return pd.concat(parts, ignore_index=True)
+
+
 def run_category(run_ids: pd.Series) -> pd.CategoricalDtype:
     """Return the type of run ids in episodes."""
     return pd.CategoricalDtype(pd.Index(run_ids.to_list(), dtype="str"))
 
 
 def _read_files(
-    store: Store, runs: pd.DataFrame, name: str, parse: Callable[[bytes], Any]
+    store: Store,
+    runs: pd.DataFrame,
+    name: str,
+    parse: Callable[[bytes], Any],
+    *,
+    optional: bool = False,
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the parsed artifact of each run that has it, by run id, and a sentence for each one
-    that is damaged.
+    that is damaged, or missing unless it is optional.
     """
 
     def read(run: Mapping[Any, Any]) -> tuple[Any, str | None]:
@@ -307,7 +339,7 @@ def _read_files(
                 return parse(content), None
         except Exception as error:
             return None, f"{name} can't be read: {reason(error)}"
-        if run["status"] == "done":
+        if run["status"] == "done" and not optional:
             return None, f"{name} is missing in the store"
         return None, None
 

@@ -1,10 +1,11 @@
 """Parsers of a run's files, as the store has them: config to settings, metrics to curves, episodes
-to a frame.
+and their paths to frames.
 """
 
 import io
 import json
 import re
+from collections import defaultdict
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -38,6 +39,8 @@ EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
 CATEGORIES = {
     name: kind for name, kind in EPISODES.items() if isinstance(kind, pd.CategoricalDtype)
 }
+PATHS: dict[str, Any] = {EPISODE_SEED: "int64", "step": "int64"}
+"""Columns of `Results.paths` between the run id and positions, and their types."""
 NUMBERS = {name: kind for name, kind in EPISODES.items() if name not in CATEGORIES}
 
 
@@ -116,3 +119,19 @@ def read_episodes(table: bytes) -> pd.DataFrame:
     if not is_known.all():
         raise ValueError("it has rows that are not episodes")
     return episodes
+
+
+def read_paths(table: bytes) -> pd.DataFrame:
+    """Return the rows of a `paths.csv.gz`.
+
+    Raises:
+        ValueError: it is damaged, or has anything but finite numbers.
+    """
+    types = defaultdict(lambda: "float64", PATHS)
+    paths = pd.read_csv(io.BytesIO(table), compression="gzip", dtype=types)
+    for name in PATHS:
+        if name not in paths:
+            raise ValueError(f"it has no column {name}")
+    if not np.isfinite(paths).all(axis=None):
+        raise ValueError("it has rows that are no positions")
+    return paths

@@ -1,9 +1,9 @@
 """Run directories: layout, progress, and the locks of the processes that change them.
 
     outputs/<experiment_name>/<cell>/seed=<n>/
-        config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv
-        progress.csv  provenance.json  checkpoints/  models/  evaluations/  exports/
-        tensorboard/  video.mp4  curves.png  log.txt  beat.json  traceback.txt
+        config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  paths.csv.gz
+        monitor.csv  progress.csv  provenance.json  checkpoints/  models/  evaluations/
+        exports/  tensorboard/  video.mp4  curves.png  log.txt  beat.json  traceback.txt
 
 The run directory is the truth; the store is a copy. Two locks keep processes apart: `.claim` is
 held by the process that is responsible for the run (its supervisor, or the one that trains it

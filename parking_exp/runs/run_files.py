@@ -28,8 +28,10 @@ HEARTBEAT_FILE = "beat.json"
 TRACEBACK_FILE = "traceback.txt"
 EVALUATIONS = "evaluations"
 SUMMARY_FILE = "summary.json"  # of an evaluation
+PATHS_FILE = "paths.csv.gz"
 WRITTEN_AT_THE_END = (
     EPISODES_FILE,
+    PATHS_FILE,
     "curves.png",
     "video.mp4",
     MONITOR_FILE,

@@ -164,6 +164,14 @@ class Task(ABC):
         """Return the class of a named features extractor and its arguments; None for `raw`."""
         return None
 
+    def positions(self, batch: EvaluationBatch) -> dict[str, np.ndarray]:
+        """Return where the episodes of a batch are, by name, each of shape (n,).
+
+        These are columns of the paths that a run keeps of its final episodes. A task without
+        positions has no paths.
+        """
+        return {}
+
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield the frames of a video of some episodes, shape (height, width, 3).
 
@@ -202,8 +210,11 @@ class TaskReport:
         sections: of the report, left out where no cell has their data.
         rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of
             its runs, and from its config by dotted keys.
+        drawn: returns what figures show of a cell beside its data, from the paths of one run (seed,
+            step, positions, outcome), which may have none, and from its config by dotted keys.
     """
 
     methods: Sequence[str]
     sections: Sequence[TaskSection]
     rates: Callable[["Sequence[pd.DataFrame]", Mapping[str, Any]], dict[str, Any]]
+    drawn: Callable[["pd.DataFrame", Mapping[str, Any]], Any]

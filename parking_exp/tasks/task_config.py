@@ -54,6 +54,12 @@ class TaskConfig(ConfigModel):
         """Yield a sentence for each rule between keys that is violated."""
         yield from ()
 
+    def change_problems(self, changes: Mapping[str, Any]) -> Iterator[str]:
+        """Yield a sentence for each change, by key, that an evaluation can't make to the env of a
+        stored run.
+        """
+        yield from ()
+
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence for the policy's features, or an argument of the buffer, that the task
         does not support.

@@ -6,12 +6,17 @@ import pandas as pd
 
 from parking_exp.errors import CrossCheckError, VideoError
 from parking_exp.evaluation.evaluate_policy import describe_rates, find_differences
+from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.evaluation.video import record_video
+from parking_exp.runs.run_files import PATHS_FILE
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.checkpoints import save_model
 from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.plot_curves import plot_learning_curves
 from parking_exp.training.seeds import certified_seeds
+
+N_PATHS = 50
+"""Final episodes whose paths are kept, the first ones: as many as a figure can show."""
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
@@ -30,7 +35,8 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     # batch.
     all_seeds = settings.seeds(settings.final_n_scenes)
     others = [seed for seed in all_seeds if seed not in cross_checked]
-    parts = [loop.run_episodes(seeds) for seeds in (cross_checked, others) if seeds]
+    paths = PathRecorder(loop.task, all_seeds[:N_PATHS])
+    parts = [loop.run_episodes(seeds, paths=paths) for seeds in (cross_checked, others) if seeds]
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
 
     summary = loop.record_evaluation(episodes.head(settings.n_scenes), "eval")
@@ -41,6 +47,7 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
 
     directory = loop.directory
     save_model(loop.model, directory.models / "final.zip")
+    paths.write(directory.path / PATHS_FILE)
     title = f"{config.experiment_name}: {directory.path.parent.name}"
     plot_learning_curves(loop.metrics.frame(), metrics, title, directory.path / "curves.png")
     if settings.video_episodes:

@@ -19,6 +19,7 @@ from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import DivergenceError
 from parking_exp.evaluation.evaluate_policy import describe_rates, evaluate, rank, summarise
+from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import (
     EPISODES_FILE,
@@ -142,11 +143,16 @@ class TrainingLoop:
         self.dump_metrics()
         self.bar.say(describe_rates(summary, self.model.num_timesteps, self.task.metrics))
 
-    def run_episodes(self, seeds: Sequence[int], simulator: str | None = None) -> pd.DataFrame:
+    def run_episodes(
+        self,
+        seeds: Sequence[int],
+        simulator: str | None = None,
+        paths: PathRecorder | None = None,
+    ) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""
         try:
             return evaluate(
-                self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator
+                self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator, paths
             )
         except DivergenceError as error:
             step = self.model.num_timesteps

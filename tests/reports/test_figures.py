@@ -9,7 +9,9 @@ from dataclasses import replace
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pytest
+from matplotlib.colors import to_hex
 from PIL import Image
 from support import report_factory
 
@@ -165,10 +167,44 @@ def test_the_map_has_failures_by_slot(three):
     ]
     cell = replace(three.cells[0], task_data={"slots": slots})
     axes, *_ = axes_of(lot_figures.draw_scene_map, replace(three, cells=[cell]))
-    shown = axes.collections[1].get_array().filled(np.nan)
+    shown = axes.collections[2].get_array().filled(np.nan)
     assert np.isnan(shown[5])
     assert np.delete(shown, 5) == pytest.approx([slot + 2 for slot in range(28) if slot != 5])
     assert texts(axes.texts) == [str(slot + 2) for slot in range(28) if slot != 5]
+
+
+def test_paths_are_in_the_colour_of_their_outcome_with_the_car_at_the_end_and_crashes_on_top(three):
+    paths = pd.DataFrame(
+        [
+            (0, 0, 0.0, 0.0, 0.0, "crash"),
+            (0, 1, 3.0, 4.0, 0.0, "crash"),
+            (1, 0, 0.0, 0.0, 0.0, "success"),
+            (1, 1, 1.0, 0.0, 0.0, "success"),
+            (1, 2, 2.0, 14.0, np.pi / 2, "success"),
+        ],
+        columns=["scene", "step", "x_m", "y_m", "heading_rad", "outcome"],
+    )
+    without, cell = three.cells[:2]
+    driven = replace(cell, drawn=replace(cell.drawn, paths=paths))
+    (axes,) = axes_of(lot_figures.draw_paths, replace(three, cells=[without, driven]))
+    assert axes.get_title(loc="left") == "td3"
+
+    _, _, success, parked, timeout, _, crash, crashed = axes.collections
+    assert [path.vertices.tolist() for path in success.get_paths()] == [[[0, 0], [1, 0], [2, 14]]]
+    assert [path.vertices.tolist() for path in crash.get_paths()] == [[[0, 0], [3, 4]]]
+    assert timeout.get_paths() == []
+    corners = [[4.5, 1], [4.5, -1], [-0.5, -1], [-0.5, 1]]
+    assert sorted(crashed.get_paths()[0].vertices[:4].tolist()) == sorted(
+        [x + 1, y + 4] for x, y in corners
+    )
+    parked_x = parked.get_paths()[0].vertices[:4, 0]
+    assert sorted(parked_x) == pytest.approx([1, 1, 3, 3])
+    assert to_hex(success.get_colors()[0]) == "#009e73"
+    assert to_hex(crash.get_colors()[0]) == to_hex(crashed.get_edgecolors()[0]) == "#d55e00"
+
+
+def test_no_paths_give_no_figure(three):
+    assert [*lot_figures.draw_paths(three)] == []
 
 
 @pytest.mark.parametrize(

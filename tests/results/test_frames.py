@@ -1,5 +1,7 @@
 """Frames have what the store has, and say what it lacks."""
 
+import gzip
+import io
 import json
 import math
 import re
@@ -291,6 +293,49 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
     )
     assert run["config.total_timesteps"] == 400
     assert results.problems == ()
+
+
+PATHS = b"scene,step,x_m,y_m,heading_rad\n0,0,0.5,0,3.1\n0,1,1.25,-2,3.2\n"
+
+
+def test_paths_are_those_of_the_lowest_finished_seed_of_each_cell(output_dir):
+    """A cell without any, as earlier versions made them, is no problem."""
+    file = {"paths.csv.gz": gzip.compress(PATHS)}
+    looks = {
+        ("four", 0): Look(status="failed", contents=file),
+        ("four", 1): Look(contents=file),
+        ("four", 2): Look(contents=file),
+        ("none", 0): Look(),
+        ("none", 1): Look(contents=file),
+        ("none", 2): Look(),
+    }
+    made = make_store(output_dir, "her", HER, range(3), lambda *key: looks[key])
+    results = load("her", output_dir=output_dir)
+    expected = pd.read_csv(io.BytesIO(PATHS), dtype={"y_m": float})
+    expected.insert(0, "run_id", made["four", 1].run_id)
+    pd.testing.assert_frame_equal(results.paths, expected)
+    assert results.problems == ()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        PATHS,
+        gzip.compress(PATHS)[:-9],
+        gzip.compress(PATHS.replace(b"scene", b"start")),
+        gzip.compress(PATHS.replace(b"0.5", b"inf")),
+        gzip.compress(PATHS.replace(b"0.5", b"left")),
+    ],
+)
+def test_damaged_paths_are_a_problem_and_left_out(output_dir, content):
+    look = Look(contents={"paths.csv.gz": content})
+    make_store(output_dir, "e", {"": []}, [0], lambda *key: look)
+    results = load("e", output_dir=output_dir)
+    (problem,) = results.problems
+    assert "paths.csv.gz can't be read: " in problem
+    assert results.paths.empty
+    assert len(results.episodes) > 0
 
 
 @needs_server

@@ -29,6 +29,7 @@ def contents(path):
         "checkpoint": folder.name,
         "metrics": metrics(path),
         "episodes.csv": (path / "episodes.csv").read_text(),
+        "paths.csv.gz": (path / "paths.csv.gz").read_bytes(),
         "monitor.csv": table(path / "monitor.csv", comment=1, without={"t"}),
         "progress.csv": table(path / "progress.csv"),
         **events(path / "tensorboard"),

@@ -15,7 +15,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.parking_report import rates
+from parking_exp.tasks.parking.parking_report import drawn, rates
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT
 from parking_exp.tasks.parking.simulator import Simulator
@@ -343,8 +343,29 @@ def test_a_report_has_the_rates_by_slot_of_the_lot_that_was_stored():
     by_slot = {row["slot"]: row["success"] for row in data["slots"]}
     assert by_slot == {slot: float(slot == goals[0]) for slot in set(goals)}
     assert sum(row["n"] for row in data["slots"]) == 60
-    assert len(data["lot"]["slots"]) == 18
-    assert data["lot"]["slot_size"] == pytest.approx([6.0, (2.4 + 2.85) / 2])
+
+
+def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored():
+    """Each scene has slots of its own size, and therefore in other places."""
+    stored = {f"env.lot.{key}": value for key, value in STORED_LOT.items()}
+    scenes = lot_of(env_config("parking_bays", "level=hard")).from_seeds(range(20))
+    x, y, heading = scenes.goal_pose.T
+    ends = {"scene": range(20), "step": 9, "outcome": "success", "x_m": x, "y_m": y}
+    drawing = drawn(pd.DataFrame({**ends, "heading_rad": heading}), stored)
+
+    assert drawing.lot.slots.shape == (1, 18, 3)
+    assert drawing.lot.slot_size[0] == pytest.approx([6.0, (2.4 + 2.85) / 2])
+    expected = drawing.lot.slots[0, scenes.goal]
+    assert np.abs(expected - scenes.goal_pose)[:, :2].max() > 0.5
+    poses = drawing.paths[["x_m", "y_m", "heading_rad"]].to_numpy()
+    np.testing.assert_allclose(poses, expected, rtol=0, atol=1e-12)
+
+
+def test_a_report_of_runs_without_paths_draws_the_lot_alone():
+    nothing = pd.DataFrame({"run_id": [], "scene": [], "step": [], "outcome": []})
+    drawing = drawn(nothing, {"env.vehicles_count": 0})
+    assert drawing.lot.slots.shape == (1, 28, 3)
+    assert drawing.paths.empty
 
 
 STORED_LOT = {

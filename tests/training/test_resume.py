@@ -131,7 +131,7 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
     other = run(tmp_path, "seed=1")
     different = " ".join(differences(uninterrupted, other))
     for name in (
-        "episodes.csv", "metrics", "monitor.csv", "progress.csv", "best.zip/", "final.zip/", "model.zip/policy.pth/",
+        "episodes.csv", "paths.csv.gz", "metrics", "monitor.csv", "progress.csv", "best.zip/", "final.zip/", "model.zip/policy.pth/",
         "model.zip/actor.optimizer.pth/", "model.zip/critic.optimizer.pth/", "model.zip/ent_coef_optimizer.pth/",
         "model.zip/pytorch_variables.pth/log_ent_coef", "replay_buffer.npz/rows", "replay_buffer.npz/rng",
         "state.pt/model/_last_obs/observation", "state.pt/rollout/envs/envs/simulator/position",

@@ -121,8 +121,17 @@ def test_the_store_has_all_files_but_the_replay_buffer(smoke):
     client = store(output_dir)
     assert artifacts(client, directory.run_id) == [
         "checkpoint/model.zip", "config.yaml", "curves.png", "episodes.csv", "metrics.jsonl",
-        "models/best.zip", "models/final.zip", "monitor.csv", "progress.csv", "video.mp4",
+        "models/best.zip", "models/final.zip", "monitor.csv", "paths.csv.gz", "progress.csv",
+        "video.mp4",
     ]  # fmt: skip
+
+
+def test_the_first_final_episodes_have_paths_as_long_as_they_are(smoke):
+    directory = smoke[0]
+    final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'")
+    paths = pd.read_csv(directory.path / "paths.csv.gz")
+    last_steps = paths.groupby("scene")["step"].max()
+    assert last_steps.to_dict() == dict(zip(final["scene"], final["steps"], strict=True))
 
 
 def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_env(smoke):

@@ -1,13 +1,15 @@
-"""Figures of parking reports: failures by goal slot on the lot from above, and outcomes by number
-of parked cars.
+"""Figures of parking reports: paths and failures by goal slot on the lot from above, and outcomes
+by number of parked cars.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -21,138 +23,89 @@ from parking_exp.figure_style import (
     text_colour,
     wrapped_labels,
 )
-from parking_exp.tasks.parking.geometry import corners
-from parking_exp.tasks.parking.lot import HighwayLot, Lot
+from parking_exp.tasks.metrics import EPISODE_SEED, SUCCESS, TIMEOUT
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, corners
+from parking_exp.tasks.parking.parking_metrics import CRASH, PATH_COLUMNS
+from parking_exp.tasks.parking.scenes import Scenes
 
-_BOX = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2
-
-
-class LotOutline(NamedTuple):
-    """What drawings show of a lot, as reports store it."""
-
-    slots: Sequence[Sequence[float]]  # poses, shape (slots, 3) [m, m, rad]
-    slot_size: Sequence[float]  # length and width [m]
-    box: Sequence[float]  # length and width between the walls [m]
-
-    @staticmethod
-    def of(lot: Lot) -> "LotOutline":
-        """Return the outline of a lot, in the middle of its ranges."""
-        scene = lot.typical()
-        return LotOutline(
-            scene.slots[0].tolist(), scene.slot_size[0].tolist(), scene.box[0].tolist()
-        )
-
-    def slot_corners(self) -> np.ndarray:
-        """Return the corners of the slots, shape (slots, 4, 2) [m]."""
-        slots = np.array(self.slots)
-        direction = np.stack([np.cos(slots[:, 2]), np.sin(slots[:, 2])], axis=-1)
-        length, width = np.tile(self.slot_size, (len(slots), 1)).T
-        return corners(slots[:, :2], direction, length, width)
+DRAWN_OUTCOMES = (SUCCESS, TIMEOUT, CRASH)
+"""In the order in which their paths are drawn: crashes are on top."""
+OUTLINE = {"edgecolors": GRID, "linewidths": 0.4}  # of slots
+WALL = "#808286"
 
 
-HIGHWAY_OUTLINE = LotOutline.of(HighwayLot((0, 0), 0))
+@dataclass(frozen=True)
+class LotDrawing:
+    """What figures show of a cell's lot."""
+
+    lot: Scenes  # one scene, in the middle of all ranges
+    paths: pd.DataFrame  # scene, step, PATH_COLUMNS, outcome; on this lot
 
 
-def _lots(outlines: Sequence[LotOutline], columns: int, head: float) -> tuple[Figure, np.ndarray]:
-    """Return a figure of the lots of some scenes, and their axes in metres, shape (n,); `head` [in]
-    is the height of titles.
-
-    The frame of the axes is the wall of the largest lot.
-    """
-    n = len(outlines)
-    rows = -(-n // columns)
-    length, width = np.max([outline.box for outline in outlines], axis=0)
-    lot_height = (WIDTH_IN - 0.8) / columns * width / length
-    figure = new_figure(0.4 + rows * (head + lot_height))
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes in panels.flat[n:]:
-        axes.remove()
-    lots = panels.flat[:n]
-    for number, (axes, outline) in enumerate(zip(lots, outlines, strict=True)):
-        axes.set(
-            aspect="equal",
-            xticks=(-30, 0, 30),
-            yticks=(-20, 0, 20),
-            xlim=(-length / 2, length / 2),
-            ylim=(-width / 2, width / 2),
-        )
-        axes.spines[:].set(visible=True, linewidth=1.8, alpha=0.55)
-        axes.xaxis.set_visible(number + columns >= n)
-        axes.yaxis.set_visible(number % columns == 0)
-        _shapes(axes, outline.slot_corners(), facecolors="none", edgecolors=GRID, linewidths=0.4)
-        if np.any(np.array(outline.box) < (length, width)):
-            _shapes(axes, [_BOX * outline.box], facecolors="none", edgecolors=GRID, linewidths=1.2)
-    figure.supxlabel("x (m)", fontsize="medium")
-    figure.supylabel("y (m)", fontsize="medium")
-    return figure, lots
+def draw_paths(report: Any) -> Iterator[Drawing]:
+    """Draw the paths of the first final episodes of a seed of each cell."""
+    cells = [cell for cell in report.shown_cells if cell.drawn and len(cell.drawn.paths)]
+    if not cells:
+        return
+    figure, panels = _draw_lots(cells)
+    marks = []
+    for outcome in DRAWN_OUTCOMES:
+        for axes, cell in zip(panels, cells, strict=True):
+            paths = cell.drawn.paths
+            _draw_cars(axes, paths[paths["outcome"] == outcome.name], outcome.colour)
+        marks += panels[0].plot([], [], color=outcome.colour, label=outcome.name)
+    figure.legend(handles=marks, loc="outside upper center", ncols=len(marks))
+    yield (
+        figure,
+        "The lot from above: paths in the first final episodes, and the car at their ends. Of each "
+        "cell, the lowest seed is shown. Where slots differ from scene to scene, each path is "
+        "moved so that its goal is the slot that is drawn.",
+    )
 
 
-def _shapes(axes: Axes, corners: Iterable[np.ndarray], **style: Any) -> PolyCollection:
-    """Draw polygons of shape (n, 2) in metres."""
-    shapes = PolyCollection(list(corners), **style)
-    axes.add_collection(shapes, autolim=False)
-    return shapes
+def _draw_cars(axes: Axes, paths: pd.DataFrame, colour: str | None) -> None:
+    """Draw some paths, and the car at the end of each."""
+    lines = []
+    for _, path in paths.groupby(EPISODE_SEED):
+        lines.append(path[["x_m", "y_m"]].to_numpy())
+    axes.add_collection(LineCollection(lines, colors=colour, linewidths=0.5), autolim=False)
+    ends = paths.groupby(EPISODE_SEED)[[*PATH_COLUMNS]].last().to_numpy()
+    cars = _rectangles(ends, CAR_LENGTH_M, CAR_WIDTH_M)
+    _draw(axes, cars, facecolors=f"{colour}30", edgecolors=colour, linewidths=0.5)
 
 
 def draw_scene_map(report: Any) -> Iterator[Drawing]:
     """Draw, for each goal slot, the share of episodes that failed."""
-    cells = []
-    outlines = []
-    failed = []
-    for cell in report.shown_cells:
-        lot = cell.task_data.get("lot")
-        outline = LotOutline(**lot) if lot else HIGHWAY_OUTLINE
-        rates = _failures(cell, len(outline.slots))
-        if np.isfinite(rates).any():
-            cells.append(cell)
-            outlines.append(outline)
-            failed.append(rates)
-    if not failed:
+    cells = [cell for cell in report.shown_cells if cell.task_data.get("slots")]
+    if not cells:
         return
-    n = len(failed)
-    columns = 4
-    if n <= 12:
-        columns = 3
-    if n <= 4:
-        columns = min(n, 2)
-    labels = wrapped_labels(cells, 84 // columns, lines=2)
-    n_breaks = max(label.count("\n") for label in labels)
-    figure, lots = _lots(outlines, columns, head=0.22 + 0.13 * n_breaks)
+    failed = [_failures(cell) for cell in cells]
     highest = max(10.0, 5 * np.ceil(np.nanmax(np.concatenate(failed)) / 5))
-    for axes, outline, rates, label in zip(lots, outlines, failed, labels, strict=True):
-        slots = _shapes(
-            axes,
-            outline.slot_corners(),
-            array=rates,
-            cmap="Purples",
-            clim=(0, highest),
-            edgecolors=GRID,
-            linewidths=0.4,
-        )
-        axes.set_title(label)
-        if columns < 3:
-            for (x, y, _), rate in zip(outline.slots, rates, strict=True):
-                if np.isfinite(rate):
-                    colour = text_colour(slots.to_rgba(rate))
-                    axes.text(
-                        x, y, f"{rate:.0f}", ha="center", va="center", color=colour, fontsize=5.2
-                    )
-    bar = figure.colorbar(slots, ax=lots, aspect=30, pad=0.02, shrink=min(1.0, 1.4 * columns / n))
+    figure, panels = _draw_lots(cells)
+    for axes, cell, rates in zip(panels, cells, failed, strict=True):
+        lot = cell.drawn.lot
+        slots = _draw(axes, _slots(lot), array=rates, cmap="Purples", clim=(0, highest), **OUTLINE)
+        if len(cells) > 4:  # no room for numbers
+            continue
+        for (x, y, _), rate in zip(lot.slots[0], rates, strict=True):
+            if np.isfinite(rate):
+                colour = text_colour(slots.to_rgba(rate))
+                axes.text(x, y, f"{rate:.0f}", ha="center", va="center", color=colour, fontsize=5.2)
+    bar = figure.colorbar(slots, ax=panels, aspect=30, pad=0.02)
     bar.set_label("failed episodes (%)")
     yield (
         figure,
         "The lot from above: share of episodes with that goal slot that failed (crash or timeout), "
-        "in %, all seeds "
-        "together.",
+        "in %, all seeds together.",
     )
 
 
-def _failures(cell: Any, n_slots: int) -> np.ndarray:
+def _failures(cell: Any) -> np.ndarray:
     """Return the percentage of failed episodes by goal slot, NaN without episodes. Shape
-    (n_slots,).
+    (slots,).
     """
-    rates = np.full(n_slots, np.nan)
-    for row in cell.task_data.get("slots", ()):
+    rates = np.full(cell.drawn.lot.slots.shape[1], np.nan)
+    for row in cell.task_data["slots"]:
         rates[row["slot"]] = percentages([row["crash"], row["timeout"]]).sum()
     return rates
 
@@ -177,3 +130,60 @@ def draw_vehicle_rates(report: Any) -> Iterator[Drawing]:
         figure,
         "Final success and crashes by the number of parked cars of a scene, all seeds together.",
     )
+
+
+def _draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
+    """Return a figure with the lot of each cell, and their axes in metres."""
+    n = len(cells)
+    columns = 4
+    if n <= 12:
+        columns = 3
+    if n <= 4:
+        columns = min(n, 2)
+    rows = -(-n // columns)
+    labels = wrapped_labels(cells, 84 // columns, lines=2)
+    n_breaks = max(label.count("\n") for label in labels)
+    length, width = np.max([cell.drawn.lot.box[0] for cell in cells], axis=0)
+    lot_height = (WIDTH_IN - 0.8) / columns * width / length
+    figure = new_figure(0.4 + rows * (0.22 + 0.13 * n_breaks + lot_height))
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for unused in grid.flat[n:]:
+        unused.remove()
+    panels = list(grid.flat[:n])
+    figure.supxlabel("x (m)", fontsize="medium")
+    figure.supylabel("y (m)", fontsize="medium")
+
+    for axes, cell, label in zip(panels, cells, labels, strict=True):
+        axes.set(
+            aspect="equal",
+            title=label,
+            xlim=(-length / 2, length / 2),
+            ylim=(-width / 2, width / 2),
+        )
+        axes.spines[:].set_visible(False)
+        axes.locator_params(nbins=4)
+        lot = cell.drawn.lot
+        walls = _rectangles(np.zeros((1, 3)), *lot.box[0])
+        _draw(axes, walls, facecolors="none", edgecolors=WALL, linewidths=1.8, clip_on=False)
+        _draw(axes, _slots(lot), facecolors="none", **OUTLINE)
+    return figure, panels
+
+
+def _slots(lot: Scenes) -> np.ndarray:
+    """Return the corners of the slots of one scene, shape (slots, 4, 2) [m]."""
+    return _rectangles(lot.slots[0], *lot.slot_size[0])
+
+
+def _draw(axes: Axes, polygons: np.ndarray, **style: Any) -> PolyCollection:
+    """Draw polygons of shape (n, corners, 2) [m]."""
+    shapes = PolyCollection(list(polygons), **style)
+    axes.add_collection(shapes, autolim=False)
+    return shapes
+
+
+def _rectangles(poses: np.ndarray, length: float, width: float) -> np.ndarray:
+    """Return the corners of equal rectangles with some poses, shape (n, 4, 2) [m]."""
+    heading = poses[:, 2]
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    ones = np.ones(len(poses))
+    return corners(poses[:, :2], direction, length * ones, width * ones)

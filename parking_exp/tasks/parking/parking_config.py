@@ -188,6 +188,14 @@ class ParkingConfig(TaskConfig):
             if self.obstacles:
                 yield f"env.obstacles={self.obstacles}: highway-env's own lot only has obstacles"
 
+    def change_problems(self, changes: Mapping[str, Any]) -> Iterator[str]:
+        """Yield what is wrong with another level, whose numbers a stored run does not have."""
+        if "level" in changes:
+            yield (
+                f"env.level={changes['level']}: a run keeps the numbers of its own level only; "
+                f"add env={self.name}"
+            )
+
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield nothing: all features and all arguments of the buffer are supported."""
         yield from ()

@@ -16,7 +16,9 @@ from parking_exp.tasks.metrics import (
     rate,
 )
 
-
+PATH_COLUMNS = ("x_m", "y_m", "heading_rad")
+"""Columns of an episode's path."""
+CRASH = outcome_rate("crash", FAILURE_COLOUR)
 def _time_to_park(episode: Episode) -> float:
     """Return the duration of a successful episode [s], NaN of others."""
     return episode.info["time_s"] if episode.outcome == "success" else math.nan
@@ -32,7 +34,7 @@ def _path_efficiency(episode: Episode) -> float:
 
 METRICS: tuple[Metric, ...] = (
     SUCCESS,
-    outcome_rate("crash", FAILURE_COLOUR),
+    CRASH,
     TIMEOUT,
     rate(
         "parked", lambda e: e.end.parked, colour="#000000",

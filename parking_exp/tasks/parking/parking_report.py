@@ -1,4 +1,4 @@
-"""Report sections of parking: map of the lot, rates of outcomes by goal slot and by number of
+"""Report sections of parking: paths on the lot, rates of outcomes by goal slot and by number of
 parked cars.
 """
 
@@ -9,9 +9,15 @@ from typing import Any
 import pandas as pd
 
 from parking_exp.figure_style import SectionFigure
-from parking_exp.tasks.parking.lot import Lot, ParametricLot
-from parking_exp.tasks.parking.lot_figures import LotOutline, draw_scene_map, draw_vehicle_rates
-from parking_exp.tasks.parking.parking_metrics import METRICS
+from parking_exp.tasks.metrics import EPISODE_SEED
+from parking_exp.tasks.parking.lot import Lot
+from parking_exp.tasks.parking.lot_figures import (
+    LotDrawing,
+    draw_paths,
+    draw_scene_map,
+    draw_vehicle_rates,
+)
+from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 from parking_exp.tasks.parking.stored_lot import stored_lot
 from parking_exp.tasks.task import TaskReport, TaskSection
@@ -61,14 +67,34 @@ def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, 
     scenes = _scenes(lot, seeds)
     goals = dict(zip(seeds, scenes.goal.tolist(), strict=True))
     by_section: dict[str, Any] = {"slots": outcome_rates(episodes, "slot", goals)}
-    if isinstance(lot, ParametricLot):
-        by_section["lot"] = LotOutline.of(lot)._asdict()
     low, high = lot.vehicles_range
     if low < high:
         numbers = (scenes.vehicles != NO_SLOT).sum(axis=1)
         vehicles = dict(zip(seeds, numbers.tolist(), strict=True))
         by_section["vehicles"] = outcome_rates(episodes, "vehicles", vehicles)
     return by_section
+
+
+def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing:
+    """Return what figures show of a cell's lot.
+
+    Where slots differ from scene to scene, each path is moved so that its goal is the slot that is
+    drawn.
+
+    Args:
+        paths: of the final episodes of one run (scene, step, outcome, and PATH_COLUMNS if there
+            are any).
+        config: of the cell, by dotted keys.
+    """
+    lot = stored_lot(config)
+    typical = lot.typical()
+    columns = [EPISODE_SEED, "step", "outcome", *PATH_COLUMNS]
+    on_lot = paths.reindex(columns=columns).dropna(ignore_index=True)
+    numbers, seeds = pd.factorize(on_lot[EPISODE_SEED])
+    scenes = lot.from_seeds(seeds.tolist())
+    moves = typical.slots[0, scenes.goal] - scenes.goal_pose
+    on_lot[["x_m", "y_m"]] += moves[numbers, :2]
+    return LotDrawing(typical, on_lot)
 
 
 PARKING_REPORT = TaskReport(
@@ -82,7 +108,10 @@ PARKING_REPORT = TaskReport(
         TaskSection(
             "scenes",
             "Where episodes fail",
-            [SectionFigure("scene_map", "Where on the lot episodes fail", draw_scene_map)],
+            [
+                SectionFigure("paths", "Where cars drive", draw_paths),
+                SectionFigure("scene_map", "Where on the lot episodes fail", draw_scene_map),
+            ],
             table="slots",
         ),
         TaskSection(
@@ -97,4 +126,5 @@ PARKING_REPORT = TaskReport(
         ),
     ],
     rates=rates,
+    drawn=drawn,
 )

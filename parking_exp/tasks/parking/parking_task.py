@@ -13,7 +13,7 @@ from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
-from parking_exp.tasks.parking.parking_metrics import METRICS
+from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
@@ -108,6 +108,11 @@ class ParkingTask(Task):
             "ego_mirrored": (MirroredEgoFrameExtractor, ego | fine | mirrored),
         }
         return extractors.get(name)
+
+    def positions(self, batch: EvaluationBatch) -> dict[str, np.ndarray]:
+        """Return the poses of the cars [m, rad]."""
+        assert isinstance(batch, Simulator | HighwayBatch)
+        return dict(zip(PATH_COLUMNS, batch.poses().T, strict=True))
 
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield the frames of a video of some scenes: a second of it is a second of driving."""
