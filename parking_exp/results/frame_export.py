@@ -6,7 +6,6 @@
 `help(parking_exp.results)` has its files and their columns.
 """
 
-import gzip
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -30,7 +29,7 @@ from parking_exp.results.frames import (
     typed_curves,
 )
 from parking_exp.results.run_logs import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
-from parking_exp.runs.atomic_files import read_json, replacing, write_json
+from parking_exp.runs.atomic_files import read_json, write_gzip, write_json
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.registry import added_metrics
 
@@ -71,11 +70,8 @@ def write_export(
     }
     for name, table in tables.items():
         text = table.to_csv(index=False, float_format="%.6g")
-        # Equal tables have equal bytes: the time is always the same.
-        content = gzip.compress(text.encode(), mtime=1)
         # An existing link is replaced, not followed.
-        with replacing(folder / name) as temporary:
-            temporary.write_bytes(content)
+        write_gzip(folder / name, text)
     problems = [without_paths(problem) for problem in results.problems]
     write_json(folder / REPORT, {"problems": problems, **(about or {})})
     return folder

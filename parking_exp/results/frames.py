@@ -309,9 +309,7 @@ def _make_episodes(tables: Mapping[str, pd.DataFrame], run_ids: pd.Series) -> pd
 def _make_paths(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Return `Results.paths` from the tables of runs, which are given by run id."""
     parts = [_no_paths()]
-    for run_id, table in tables.items():
-        table.insert(0, "run_id", run_id)
-        parts.append(table)
+    parts += [table.assign(run_id=run_id) for run_id, table in tables.items()]
     return pd.concat(parts, ignore_index=True)
 
 

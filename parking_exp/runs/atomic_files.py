@@ -1,6 +1,7 @@
 """Atomic writes of files, and reads of JSON and YAML, which may come from others."""
 
 import errno
+import gzip
 import hashlib
 import json
 import os
@@ -68,6 +69,12 @@ def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
     """Replace a text file; see `replacing`."""
     with replacing(path, durable=durable) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_gzip(path: Path, text: str) -> None:
+    """Replace a gzipped text file. Equal texts have equal bytes: the time is always the same."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(gzip.compress(text.encode(), mtime=1))
 
 
 def write_json(path: Path, value: Any, *, durable: bool = True) -> None:

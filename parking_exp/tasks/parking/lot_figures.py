@@ -47,7 +47,7 @@ def draw_paths(report: Any) -> Iterator[Drawing]:
     cells = [cell for cell in report.shown_cells if cell.drawn and len(cell.drawn.paths)]
     if not cells:
         return
-    figure, panels = _draw_lots(cells)
+    figure, panels = draw_lots(cells)
     marks = []
     for outcome in DRAWN_OUTCOMES:
         for axes, cell in zip(panels, cells, strict=True):
@@ -70,8 +70,8 @@ def _draw_cars(axes: Axes, paths: pd.DataFrame, colour: str | None) -> None:
         lines.append(path[["x_m", "y_m"]].to_numpy())
     axes.add_collection(LineCollection(lines, colors=colour, linewidths=0.5), autolim=False)
     ends = paths.groupby(EPISODE_SEED)[[*PATH_COLUMNS]].last().to_numpy()
-    cars = _rectangles(ends, CAR_LENGTH_M, CAR_WIDTH_M)
-    _draw(axes, cars, facecolors=f"{colour}30", edgecolors=colour, linewidths=0.5)
+    cars = rectangles(ends, CAR_LENGTH_M, CAR_WIDTH_M)
+    draw_polygons(axes, cars, facecolors=f"{colour}30", edgecolors=colour, linewidths=0.5)
 
 
 def draw_scene_map(report: Any) -> Iterator[Drawing]:
@@ -81,10 +81,12 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
         return
     failed = [_failures(cell) for cell in cells]
     highest = max(10.0, 5 * np.ceil(np.nanmax(np.concatenate(failed)) / 5))
-    figure, panels = _draw_lots(cells)
+    figure, panels = draw_lots(cells)
     for axes, cell, rates in zip(panels, cells, failed, strict=True):
         lot = cell.drawn.lot
-        slots = _draw(axes, _slots(lot), array=rates, cmap="Purples", clim=(0, highest), **OUTLINE)
+        slots = draw_polygons(
+            axes, _slots(lot), array=rates, cmap="Purples", clim=(0, highest), **OUTLINE
+        )
         if len(cells) > 4:  # no room for numbers
             continue
         for (x, y, _), rate in zip(lot.slots[0], rates, strict=True):
@@ -132,7 +134,7 @@ def draw_vehicle_rates(report: Any) -> Iterator[Drawing]:
     )
 
 
-def _draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
+def draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
     """Return a figure with the lot of each cell, and their axes in metres."""
     n = len(cells)
     columns = 4
@@ -163,25 +165,27 @@ def _draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
         axes.spines[:].set_visible(False)
         axes.locator_params(nbins=4)
         lot = cell.drawn.lot
-        walls = _rectangles(np.zeros((1, 3)), *lot.box[0])
-        _draw(axes, walls, facecolors="none", edgecolors=WALL, linewidths=1.8, clip_on=False)
-        _draw(axes, _slots(lot), facecolors="none", **OUTLINE)
+        walls = rectangles(np.zeros((1, 3)), *lot.box[0])
+        draw_polygons(
+            axes, walls, facecolors="none", edgecolors=WALL, linewidths=1.8, clip_on=False
+        )
+        draw_polygons(axes, _slots(lot), facecolors="none", **OUTLINE)
     return figure, panels
 
 
 def _slots(lot: Scenes) -> np.ndarray:
     """Return the corners of the slots of one scene, shape (slots, 4, 2) [m]."""
-    return _rectangles(lot.slots[0], *lot.slot_size[0])
+    return rectangles(lot.slots[0], *lot.slot_size[0])
 
 
-def _draw(axes: Axes, polygons: np.ndarray, **style: Any) -> PolyCollection:
+def draw_polygons(axes: Axes, polygons: np.ndarray, **style: Any) -> PolyCollection:
     """Draw polygons of shape (n, corners, 2) [m]."""
     shapes = PolyCollection(list(polygons), **style)
     axes.add_collection(shapes, autolim=False)
     return shapes
 
 
-def _rectangles(poses: np.ndarray, length: float, width: float) -> np.ndarray:
+def rectangles(poses: np.ndarray, length: float, width: float) -> np.ndarray:
     """Return the corners of equal rectangles with some poses, shape (n, 4, 2) [m]."""
     heading = poses[:, 2]
     direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
