@@ -75,7 +75,9 @@ def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -
     except MissingMandatoryValue as error:
         raise ConfigError(f"{error.full_key} is missing") from error
     except OmegaConfBaseException as error:
-        reason = first_line(error).removeprefix(OF_RESOLVER)
+        reason = first_line(error)
+        if reason.startswith(OF_RESOLVER):  # it names the key to mend
+            raise ConfigError(reason.removeprefix(OF_RESOLVER)) from error
         raise ConfigError(f"{error.full_key}: {reason}") from error
     return check(model, {key: value for key, value in plain.items() if key not in without})
 
