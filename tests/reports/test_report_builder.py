@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.stats
 from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
@@ -62,6 +63,18 @@ def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
     slots = sac.task_data["slots"]
     assert sum(slot["n"] for slot in slots) == 25
     assert sum(slot["n"] * slot["timeout"] for slot in slots) == pytest.approx(2)
+
+
+def test_a_cell_has_the_paths_of_its_run_with_the_outcomes_and_report_json_has_none():
+    paths = pd.DataFrame({"run_id": "one-sac-0", "scene": [0, 0, 4], "step": [0, 1, 0]})
+    paths = paths.assign(x_m=[0.0, 1.0, 0.0], y_m=[0.0, -1.0, 0.0], heading_rad=0.5)
+    frames = replace(results(ALGORITHMS, range(2)), paths=paths)
+    made = build_report(frames, ["one"])
+    sac, td3 = made.cells
+    assert sac.drawn.paths["outcome"].tolist() == ["success", "success", "timeout"]
+    assert sac.drawn.paths[["x_m", "y_m"]].to_numpy().tolist() == [[0, 0], [1, -1], [0, 0]]
+    assert td3.drawn.paths.empty
+    assert "x_m" not in json.dumps(made.plain())
 
 
 def test_pairs_are_compared_and_have_a_verdict(two):

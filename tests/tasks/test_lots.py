@@ -196,6 +196,12 @@ def test_a_lot_that_cannot_be_is_one_sentence(overrides, message):
     assert "\n" not in str(error.value)
 
 
+def test_a_level_that_there_is_not_is_the_only_key_that_is_named():
+    with pytest.raises(ConfigError) as error:
+        env_config("parking_parallel", "level=medium")
+    assert str(error.value) == "env.level=medium: choose from easy, normal, hard, extreme"
+
+
 def test_a_lot_without_walls_may_have_starts_anywhere_along_the_street():
     config = env_config("parking_parallel", "lot.starts.x_m=[-60,0]", "add_walls=false")
     assert config.lot.starts.x_m == [-60.0, 0.0]
