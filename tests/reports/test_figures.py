@@ -203,6 +203,13 @@ def test_paths_are_in_the_colour_of_their_outcome_with_the_car_at_the_end_and_cr
     assert to_hex(crash.get_colors()[0]) == to_hex(crashed.get_edgecolors()[0]) == "#d55e00"
 
 
+def test_a_lot_without_walls_has_none_in_figures(three):
+    cell = three.cells[0]
+    open_lot = replace(cell, drawn=replace(cell.drawn, walls=False))
+    _, (walled, not_walled) = lot_figures.draw_lots([cell, open_lot])
+    assert len(walled.collections) - len(not_walled.collections) == 1
+
+
 def test_no_paths_give_no_figure(three):
     assert [*lot_figures.draw_paths(three)] == []
 

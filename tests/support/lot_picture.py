@@ -25,7 +25,9 @@ def draw():
     for name in LOTS:
         (composed,) = compose_configs("config", [f"env={name}", "env.level=normal"])
         scene = lot_of(validate(composed).env).from_seeds([1])
-        cells.append(SimpleNamespace(label=name, drawn=LotDrawing(scene, pd.DataFrame())))
+        cells.append(
+            SimpleNamespace(label=name, drawn=LotDrawing(scene, walls=True, paths=pd.DataFrame()))
+        )
 
     figure, panels = draw_lots(cells)
     for axes, cell in zip(panels, cells, strict=True):

@@ -369,7 +369,8 @@ def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored(
 
 def test_a_report_of_runs_without_paths_draws_the_lot_alone():
     nothing = pd.DataFrame({"run_id": [], "scene": [], "step": [], "outcome": []})
-    drawing = drawn(nothing, {"env.vehicles_count": 0})
+    drawing = drawn(nothing, {"env.vehicles_count": 0, "env.add_walls": False})
+    assert not drawing.walls
     assert drawing.lot.slots.shape == (1, 28, 3)
     assert drawing.paths.empty
 

@@ -39,6 +39,7 @@ class LotDrawing:
     """What figures show of a cell's lot."""
 
     lot: Scenes  # one scene, in the middle of all ranges
+    walls: bool  # whether there are any
     paths: pd.DataFrame  # scene, step, PATH_COLUMNS, outcome; on this lot
 
 
@@ -165,11 +166,11 @@ def draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
         axes.spines[:].set_visible(False)
         axes.locator_params(nbins=4)
         lot = cell.drawn.lot
-        walls = rectangles(np.zeros((1, 3)), *lot.box[0])
-        draw_polygons(
-            axes, walls, facecolors="none", edgecolors=WALL, linewidths=1.8, clip_on=False
-        )
         draw_polygons(axes, _slots(lot), facecolors="none", **OUTLINE)
+        if cell.drawn.walls:
+            box = rectangles(np.zeros((1, 3)), *lot.box[0])
+            style = {"facecolors": "none", "edgecolors": WALL, "linewidths": 1.8}
+            draw_polygons(axes, box, clip_on=False, **style)
     return figure, panels
 
 

@@ -94,7 +94,7 @@ def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing:
     scenes = lot.from_seeds(seeds.tolist())
     moves = typical.slots[0, scenes.goal] - scenes.goal_pose
     on_lot[["x_m", "y_m"]] += moves[numbers, :2]
-    return LotDrawing(typical, on_lot)
+    return LotDrawing(typical, config.get("env.add_walls", True), on_lot)
 
 
 PARKING_REPORT = TaskReport(
