@@ -66,7 +66,7 @@ seed that is done. Runs of some tasks have none, such as those of Gymnasium's en
 
     run_id                  str
     scene, step             int64     seed of the episode; policy step, 0 at the start
-    x_m, y_m, heading_rad   float64   of parking: the pose of the car, with its centre
+    x_m, y_m, heading_rad   float64   of parking: centre and heading of the car
 
 Metrics of users (`env.metrics`) come after the others: NAME_rate or NAME_mean in `runs`, before
 versions, and in `curves`; NAME in `episodes`.
