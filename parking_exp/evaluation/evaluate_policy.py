@@ -139,7 +139,7 @@ def _run_batch(
     returns = np.zeros(len(seeds))
     steps = 0
     if paths is not None:
-        paths.record(batch, seeds, steps)
+        paths.record(observation, seeds, steps)
     while len(batch):
         step = batch.step(policy(observation))
         steps += 1
@@ -147,7 +147,7 @@ def _run_batch(
         returns += step.reward
         observation = step.observation
         if paths is not None:
-            paths.record(batch, seeds, steps)
+            paths.record(observation, seeds, steps)
 
         done = step.terminated | step.truncated
         for index in np.flatnonzero(done).tolist():

@@ -8,7 +8,7 @@ import pandas as pd
 
 from parking_exp.runs.atomic_files import write_gzip
 from parking_exp.tasks.metrics import EPISODE_SEED
-from parking_exp.tasks.task import EvaluationBatch, Task
+from parking_exp.tasks.task import Observation, Task
 
 
 class PathRecorder:
@@ -24,14 +24,11 @@ class PathRecorder:
         self._seeds = list(seeds)
         self._parts: list[pd.DataFrame] = []
 
-    def record(self, batch: EvaluationBatch, seeds: np.ndarray, step: int) -> None:
-        """Record where the episodes of a batch are after a step, 0 at the start.
-
-        The seeds are those of the batch's episodes, shape (n,).
-        """
+    def record(self, observation: Observation, seeds: np.ndarray, step: int) -> None:
+        """Record where n episodes are after a step, 0 at the start; seeds have the shape (n,)."""
         is_recorded = np.isin(seeds, self._seeds)
         if is_recorded.any():
-            columns = {EPISODE_SEED: seeds, "step": step, **self._task.positions(batch)}
+            columns = {EPISODE_SEED: seeds, "step": step, **self._task.positions(observation)}
             self._parts.append(pd.DataFrame(columns)[is_recorded])
 
     def table(self) -> pd.DataFrame:

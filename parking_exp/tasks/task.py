@@ -164,8 +164,8 @@ class Task(ABC):
         """Return the class of a named features extractor and its arguments; None for `raw`."""
         return None
 
-    def positions(self, batch: EvaluationBatch) -> dict[str, np.ndarray]:
-        """Return where the episodes of a batch are, by name, each of shape (n,).
+    def positions(self, observation: Observation) -> dict[str, np.ndarray]:
+        """Return where n episodes are, by name, each of shape (n,).
 
         These are columns of the paths that a run keeps of its final episodes. A task without
         positions has no paths.

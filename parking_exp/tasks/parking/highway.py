@@ -120,11 +120,6 @@ class HighwayBatch(EnvBatch):
         for env in self.envs:
             skip_unused_work(env)
 
-    def poses(self) -> np.ndarray:
-        """Return the poses of the cars, shape (n, 3) [m, m, rad]."""
-        cars = [env.unwrapped.vehicle for env in self.envs]
-        return np.array([[*car.position, car.heading] for car in cars])
-
     def ending(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""
         lot = self.envs[row].unwrapped

@@ -19,6 +19,8 @@ from parking_exp.tasks.metrics import (
 PATH_COLUMNS = ("x_m", "y_m", "heading_rad")
 """Columns of an episode's path."""
 CRASH = outcome_rate("crash", FAILURE_COLOUR)
+
+
 def _time_to_park(episode: Episode) -> float:
     """Return the duration of a successful episode [s], NaN of others."""
     return episode.info["time_s"] if episode.outcome == "success" else math.nan

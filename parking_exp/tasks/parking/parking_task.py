@@ -12,10 +12,10 @@ from parking_exp.tasks.parking.driven_path import DrivenBatch
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
+from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES, ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.simulator import Simulator
-from parking_exp.tasks.task import EvaluationBatch, Policy, Task
+from parking_exp.tasks.task import EvaluationBatch, Observation, Policy, Task
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
@@ -109,10 +109,10 @@ class ParkingTask(Task):
         }
         return extractors.get(name)
 
-    def positions(self, batch: EvaluationBatch) -> dict[str, np.ndarray]:
+    def positions(self, observation: Observation) -> dict[str, np.ndarray]:
         """Return the poses of the cars [m, rad]."""
-        assert isinstance(batch, Simulator | HighwayBatch)
-        return dict(zip(PATH_COLUMNS, batch.poses().T, strict=True))
+        x, y, _, _, cos, sin = (observation["achieved_goal"] * DEFAULT_SCALES).T
+        return dict(zip(PATH_COLUMNS, (x, y, np.arctan2(sin, cos)), strict=True))
 
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield the frames of a video of some scenes: a second of it is a second of driving."""

@@ -153,10 +153,6 @@ class Simulator:
         state.steps += 1
         return self._outcome()
 
-    def poses(self) -> np.ndarray:
-        """Return the poses of the cars, shape (n, 3) [m, m, rad]."""
-        return np.stack([*self.state.position, self.state.heading], axis=1)
-
     def ending(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""
         state = self.state
