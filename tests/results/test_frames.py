@@ -327,6 +327,7 @@ def test_paths_are_those_of_the_lowest_finished_seed_of_each_cell(output_dir):
         gzip.compress(PATHS.replace(b"0.5", b"inf")),
         gzip.compress(PATHS.replace(b"0.5", b"left")),
     ],
+    ids=["empty", "not compressed", "cut", "no scenes", "not finite", "not a number"],
 )
 def test_damaged_paths_are_a_problem_and_left_out(output_dir, content):
     look = Look(contents={"paths.csv.gz": content})
