@@ -21,6 +21,7 @@ CLASSES = {
         "FineEgoFrameExtractor",
         "MirroredEgoFrameExtractor",
     ],
+    "parking_exp.tasks.parking.planning": ["Planner"],
     "parking_exp.buffers": ["HerBuffer"],
     "sb3_contrib": ["CrossQ", "TQC"],
     "stable_baselines3": ["DDPG", "HerReplayBuffer", "SAC", "TD3"],

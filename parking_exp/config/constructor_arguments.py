@@ -24,6 +24,7 @@ BASES = {
     # observations of goal tasks are dictionaries
     "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",
 }
+UNTRAINED = "parking_exp.tasks.scripted_policy.ScriptedPolicy"
 CALLBACK = "stable_baselines3.common.callbacks.BaseCallback"
 TRACKER = "parking_exp.training.trackers.Tracker"
 # Arguments that are classes, as dotted paths or `_target_` nodes, and their base classes.
@@ -51,7 +52,7 @@ SECTION_KEYS = {"algorithm": AlgorithmConfig.model_fields, "buffer": BufferConfi
 # By section, arguments that the run sets itself.
 SET_BY_RUN = {
     "algorithm": {
-        "policy", "env", "seed", "device", "buffer_size", "replay_buffer_class",
+        "policy", "task", "env", "seed", "device", "buffer_size", "replay_buffer_class",
         "replay_buffer_kwargs", "n_steps", "optimize_memory_usage", "tensorboard_log", "verbose",
         "_init_setup_model",
     },
@@ -73,11 +74,15 @@ def class_path(value: Any) -> Any:
 
 def check_arguments(run: RunConfig) -> Iterator[str]:
     """Yield what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
-    for key, base in BASES.items():
+    bases = BASES if run.is_trained else {"algorithm": UNTRAINED}
+    for key, base in bases.items():
         section = getattr(run, key)
         problems = list(_check_target(key, {"_target_": section.target, **section.arguments}, base))
         yield from problems
         if problems or not isinstance(section, AlgorithmConfig):
+            continue
+        if not run.is_trained:
+            yield from import_object(section.target).problems(run.env, section.arguments)
             continue
         # All features suit the policies of the known algorithms.
         if section.target not in KNOWN_ARGUMENTS or section.arguments.get("policy_kwargs"):

@@ -34,7 +34,7 @@ def _check_buffer(run: RunConfig) -> Iterator[str]:
             "buffer=her_future"
         )
     longest = run.env.for_training().episode_steps()
-    if longest is not None:
+    if longest is not None and run.is_trained:
         yield from check_lengths(run, longest)
     yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
 
@@ -79,7 +79,7 @@ def check_tasks(runs: Iterable[RunConfig]) -> Iterator[str]:
             yield from problems
             if problems:
                 return
-        if run.env.for_training().episode_steps() is None:
+        if run.is_trained and run.env.for_training().episode_steps() is None:
             yield from check_lengths(run, tasks[key].episode_steps)
         yield from _check_noise(run, tasks[key])
         tasks[key].close()
@@ -107,6 +107,8 @@ def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
 def _check_algorithm(run: RunConfig) -> Iterator[str]:
     algorithm = run.algorithm
     train_freq = algorithm.arguments.get("train_freq")
+    if run.is_trained and run.total_timesteps == 0:
+        yield f"total_timesteps=0: algorithm={algorithm.name} is trained; give at least 1"
     if algorithm.normalize and algorithm.features != "raw":
         yield (
             f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} does its own "

@@ -7,6 +7,7 @@ Arguments of third-party classes keep the library's names, and are checked by
 
 import math
 import re
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,6 +20,7 @@ from pydantic import (
     Field,
     NonNegativeInt,
     PositiveFloat,
+    model_validator,
 )
 
 from parking_exp.config.paths import (
@@ -106,7 +108,8 @@ class AlgorithmConfig(ThirdParty):
     """The `algorithm` group."""
 
     features: Literal["raw", "ego", "ego_fine", "ego_mirrored"]
-    net_arch: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], Field(min_length=1)]
+    # None: it is not trained.
+    net_arch: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], Field(min_length=1)] | None
     policy_ema_half_life: PositiveFloat | None
     normalize: bool
 
@@ -187,7 +190,7 @@ class RunConfig(OutputConfig):
 
     experiment_name: Name
     seed: Annotated[int, Field(ge=0, lt=2**32)]
-    total_timesteps: Count
+    total_timesteps: NonNegativeInt  # 0: nothing is trained
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)]
     # 0.001: one update in 1,000 steps of each env.
     updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]
@@ -207,6 +210,20 @@ class RunConfig(OutputConfig):
     evaluation: EvaluationConfig
     checkpoint: CheckpointConfig
     tracking: TrackingConfig
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_training(cls, values: Any) -> Any:
+        """Set `total_timesteps` to 0 where nothing is trained, whatever it was."""
+        algorithm = values.get("algorithm") if isinstance(values, Mapping) else None
+        if isinstance(algorithm, Mapping) and algorithm.get("net_arch", []) is None:
+            return {**values, "total_timesteps": 0}
+        return values
+
+    @property
+    def is_trained(self) -> bool:
+        """Whether the algorithm learns; if not, the keys of training have no effect."""
+        return self.algorithm.net_arch is not None
 
     def plain(self) -> dict[str, Any]:
         """Return the config as plain containers, for YAML."""

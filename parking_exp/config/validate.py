@@ -57,7 +57,8 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     refuse(check_tasks(runs))
     for run in runs:
         refuse(check_arguments(run))
-        refuse(check_update_ratio(run))
+        if run.is_trained:
+            refuse(check_update_ratio(run))
     return runs
 
 

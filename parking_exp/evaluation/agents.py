@@ -9,19 +9,19 @@ from pydantic import Field
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.schema import OutputConfig, RunConfig
-from parking_exp.errors import RunNotFoundError, plural
+from parking_exp.errors import ModelError, RunNotFoundError, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import LATEST, find_run, find_runs_below
 from parking_exp.runs.run_files import CONFIG_FILE, read_config
 from parking_exp.runs.run_state import read_state
 from parking_exp.runs.state_tables import run_name
 from parking_exp.runs.trained_here import was_trained_here
-from parking_exp.terminal import say
+from parking_exp.terminal import program, say
 
 if TYPE_CHECKING:
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-    from parking_exp.tasks.task import Task
+    from parking_exp.tasks.task import Policy, Task
 
 PRETRAINED = "pretrained"
 PRETRAINED_DIR = Path(__file__).parents[1] / PRETRAINED
@@ -49,11 +49,25 @@ class Agent:
         label = read_state(self.directory.path).label
         return f"{self.config.experiment_name}: {label} ({self.config.cell_key})"
 
+    def policy(self, task: "Task") -> "Policy":
+        """Return the policy, without exploration, for a task; raises as `load_model`."""
+        from parking_exp.algorithms.build_model import greedy_policy
+        from parking_exp.algorithms.scripted_policies import build_scripted_policy
+
+        if self.config.is_trained:
+            return greedy_policy(self.load(task))
+        return build_scripted_policy(self.config, task)
+
     def load(self, task: "Task") -> "OffPolicyAlgorithm":
         """Load the model with its weights, for predicting in a task.
 
         It raises what `load_model` does. The model's env is one of the task.
         """
+        if not self.config.is_trained:
+            raise ModelError(
+                f"algorithm={self.config.algorithm.name} is not trained, so it has no model; "
+                f"`{program('evaluate')}` evaluates it"
+            )
         from parking_exp.algorithms.build_model import build_model
         from parking_exp.algorithms.model_files import load_actor, load_weights
         from parking_exp.algorithms.policy_files import load_policy
@@ -149,7 +163,7 @@ def load_model(
 
     Raises:
         ConfigError: its config can't be read, or a model of its class can't be restored exactly.
-        ModelError: the weights are damaged, or do not fit the config.
+        ModelError: the weights are damaged, or do not fit the config; or it has none.
         RunNotFoundError: there is no such run, or it has no such model yet.
         UntrustedError: its config names an unknown class, or a symbolic link leads out of its
             directory.

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.statistics import wilson_interval
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.metrics import EPISODE_SEED, Episode, Metric, episode_columns, outcome
+from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
 TOLERANCE = 1e-9  # of numbers, between two simulators
@@ -34,8 +36,8 @@ def evaluate(
         policy: what is evaluated.
         task: on which it is evaluated.
         seeds: of `env.reset`, each at most once.
-        on_step: called after each step of a batch with the number of finished episodes; may raise
-            to stop.
+        on_step: called after each step of a batch, and while a scripted policy prepares for one,
+            with the number of finished episodes; may raise to stop.
         simulator: one of the config's `simulators`; None: its `simulator`.
         paths: records where the episodes are at each step.
 
@@ -46,6 +48,8 @@ def evaluate(
     for first in range(0, len(seeds), task.batch_size):
         batch_seeds = list(seeds[first : first + task.batch_size])
         batch = task.evaluation_batch(batch_seeds, simulator)
+        if isinstance(policy, ScriptedPolicy):
+            policy.start(batch_seeds, partial(on_step, len(rows)) if on_step else None)
         _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_step, paths)
 
     in_order = [rows[seed] for seed in seeds]
@@ -155,12 +159,16 @@ def _run_batch(
             ending = outcome(task.failure, bool(step.failed[index]), bool(step.is_success[index]))
             total_reward = float(returns[index])
             info = {"is_success": bool(step.is_success[index]), **batch.info(index)}
+            if isinstance(policy, ScriptedPolicy):
+                info.update(policy.info(index))
             episode = Episode(ending, steps, total_reward, batch.ending(index), info)
             values = {metric.name: metric.of(episode) for metric in task.metrics}
             rows[seed] = {EPISODE_SEED: seed, "outcome": ending, **values}
 
         if done.any():
             batch.keep(~done)
+            if isinstance(policy, ScriptedPolicy):
+                policy.keep(~done)
             seeds = seeds[~done]
             returns = returns[~done]
             observation = {key: value[~done] for key, value in observation.items()}

@@ -233,7 +233,7 @@ def _env_labels(evaluations: Sequence[Evaluation]) -> list[str]:
 
 def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     """Evaluate an agent, print and write the results, and return the rates and means."""
-    from parking_exp.algorithms.build_model import greedy_policy, torch_settings
+    from parking_exp.algorithms.build_model import torch_settings
     from parking_exp.evaluation.evaluate_policy import describe, evaluate, intervals, summarise
     from parking_exp.evaluation.evaluation_progress import evaluation_progress
 
@@ -243,7 +243,7 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
     with closing(make_task(evaluation.env)) as task:
-        policy = greedy_policy(agent.load(task))
+        policy = agent.policy(task)
         with (
             torch_settings(agent.config),
             evaluation_progress(len(request.seeds), evaluation.env.name) as show,

@@ -146,7 +146,10 @@ class RunDirectory:
 
     def evaluation_problem(self) -> str | None:
         """Return why a finished run can't be evaluated again, or None."""
-        checkpoint = self.checkpoints / checkpoint_name(self.read_status().get("steps", 0))
+        steps = self.read_status().get("steps")
+        if steps == 0:  # nothing was trained
+            return None
+        checkpoint = self.checkpoints / checkpoint_name(steps or 0)
         problem = checkpoint_problem(checkpoint)
         if problem is None:
             return None

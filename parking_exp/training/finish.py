@@ -10,62 +10,64 @@ from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.evaluation.video import record_video
 from parking_exp.runs.run_files import PATHS_FILE
 from parking_exp.tasks.metrics import EPISODE_SEED
-from parking_exp.training.checkpoints import save_model
-from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.plot_curves import plot_learning_curves
+from parking_exp.training.run_session import RunSession
 from parking_exp.training.seeds import certified_seeds
 
 N_PATHS = 50
 """Final episodes whose paths are kept, the first ones: as many as a figure can show."""
 
 
-def finish(loop: TrainingLoop) -> pd.DataFrame:
-    """Evaluate the final model, write the last files, and return the final episodes.
+def finish(session: RunSession) -> pd.DataFrame:
+    """Evaluate the final policy, write the last files, and return the final episodes.
 
     Raises:
         CrossCheckError: an episode differs between two simulators of the task; all files are
             written.
     """
-    config = loop.config
+    config = session.config
     settings = config.evaluation
-    metrics = loop.task.metrics
-    loop.bar.show_activity("final evaluation")
+    metrics = session.task.metrics
+    session.bar.show_activity("final evaluation")
     cross_checked = certified_seeds(config)
     # Cross-checked episodes have batches of their own: the last bits of actions depend on the
     # batch.
     all_seeds = settings.seeds(settings.final_n_scenes)
     others = [seed for seed in all_seeds if seed not in cross_checked]
-    paths = PathRecorder(loop.task, all_seeds[:N_PATHS])
-    parts = [loop.run_episodes(seeds, paths=paths) for seeds in (cross_checked, others) if seeds]
+    paths = PathRecorder(session.task, all_seeds[:N_PATHS])
+    parts = []
+    for seeds in (cross_checked, others):
+        if seeds:
+            parts.append(session.run_episodes(seeds, paths=paths))
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
 
-    summary = loop.record_evaluation(episodes.head(settings.n_scenes), "eval")
-    loop.bar.say(describe_rates(summary, loop.model.num_timesteps, metrics))
-    loop.record_evaluation(episodes, "final")
-    problem = _cross_check(loop, cross_checked, parts[0]) if cross_checked else None
-    loop.dump_metrics()
+    summary = session.record_evaluation(episodes.head(settings.n_scenes), "eval")
+    session.bar.say(describe_rates(summary, session.step, metrics))
+    session.record_evaluation(episodes, "final")
+    problem = _cross_check(session, cross_checked, parts[0]) if cross_checked else None
+    session.dump_metrics()
 
-    directory = loop.directory
-    save_model(loop.model, directory.models / "final.zip")
+    directory = session.directory
+    session.save_final(directory.models / "final.zip")
     paths.write(directory.path / PATHS_FILE)
     title = f"{config.experiment_name}: {directory.path.parent.name}"
-    plot_learning_curves(loop.metrics.frame(), metrics, title, directory.path / "curves.png")
+    plot_learning_curves(session.metrics.frame(), metrics, title, directory.path / "curves.png")
     if settings.video_episodes:
-        _record_video(loop)
+        _record_video(session)
     if problem is not None:
         raise CrossCheckError(problem)
     return episodes
 
 
-def _cross_check(loop: TrainingLoop, seeds: Sequence[int], episodes: pd.DataFrame) -> str | None:
+def _cross_check(session: RunSession, seeds: Sequence[int], episodes: pd.DataFrame) -> str | None:
     """Repeat episodes on the reference simulator; return what differs, if anything."""
-    simulator = loop.config.env.simulator
-    reference = loop.config.env.simulators[-1]
+    simulator = session.config.env.simulator
+    reference = session.config.env.simulators[-1]
     certified = episodes
     if simulator != reference:
-        loop.bar.show_activity(f"cross-check on {reference}")
-        certified = loop.run_episodes(seeds, reference)
-    loop.record_evaluation(certified, "certified")
+        session.bar.show_activity(f"cross-check on {reference}")
+        certified = session.run_episodes(seeds, reference)
+    session.record_evaluation(certified, "certified")
 
     differences = find_differences(episodes, certified)
     if not differences:
@@ -76,12 +78,12 @@ def _cross_check(loop: TrainingLoop, seeds: Sequence[int], episodes: pd.DataFram
     )
 
 
-def _record_video(loop: TrainingLoop) -> None:
+def _record_video(session: RunSession) -> None:
     """Record a video; a machine that can't render makes none."""
-    loop.bar.show_activity("video")
-    settings = loop.config.evaluation
+    session.bar.show_activity("video")
+    settings = session.config.evaluation
     seeds = settings.seeds(settings.video_episodes)
     try:
-        record_video(loop.policy, loop.task, seeds, loop.directory.path / "video.mp4")
+        record_video(session.policy, session.task, seeds, session.directory.path / "video.mp4")
     except VideoError as error:
-        loop.bar.say(str(error))
+        session.bar.say(str(error))

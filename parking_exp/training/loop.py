@@ -1,8 +1,8 @@
 """The training loop of a run: its model, envs and logs, with evaluations and checkpoints."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, ExitStack
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -17,25 +17,16 @@ from parking_exp.algorithms.normalization import UpdateNormalizer
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import DivergenceError
-from parking_exp.evaluation.evaluate_policy import describe_rates, evaluate, rank, summarise
-from parking_exp.evaluation.path_recorder import PathRecorder
+from parking_exp.evaluation.evaluate_policy import describe_rates, rank
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import (
-    EPISODES_FILE,
-    METRICS_FILE,
     MONITOR_FILE,
-    MetricsLog,
-    append_episodes,
 )
-from parking_exp.runs.run_state import read_state
 from parking_exp.tasks.finite import check_finite
-from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints, rollout_state, warm_start
 from parking_exp.training.checkpoints import SavedProgress, save_model
-from parking_exp.training.loggers import make_logger
-from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.run_session import RunSession
 from parking_exp.training.seeds import derive_seeds
 from parking_exp.training.signals import StopRequest
 from parking_exp.training.trackers import RunTrackers
@@ -43,7 +34,7 @@ from parking_exp.training.trackers import RunTrackers
 BAR_UPDATES_PER_S = 5
 
 
-class TrainingLoop:
+class TrainingLoop(RunSession):
     """The training of one run in one process, from its start or from a checkpoint.
 
     Args:
@@ -66,31 +57,24 @@ class TrainingLoop:
         stop: StopRequest,
         resources: ExitStack,
     ) -> None:
-        self.config = config
-        self.directory = directory
-        self.stop = stop
+        saved = checkpoints.load_state(checkpoint)["progress"] if checkpoint else {}
+        progress = SavedProgress(**saved)
+        super().__init__(config, directory, trackers, progress, stop, resources)
         self._on_saved = on_saved
         self._best = directory.models / "best.zip"
-        saved = checkpoints.load_state(checkpoint)["progress"] if checkpoint else {}
-        self.progress = SavedProgress(**saved)
-        self._cpu_start = time.process_time() - self.progress.cpu_s
-        self._wall_start = time.monotonic() - self.progress.wall_s
 
-        path = directory.path
         seeds = derive_seeds(config.seed, config.env.training_seeds)
-        self.task = make_task(config.env)
-        resources.callback(self.task.close)
         self.env = make_training_envs(
-            self.task, config.n_envs, path / MONITOR_FILE, self.progress.wall_s
+            self.task, config.n_envs, directory.path / MONITOR_FILE, progress.wall_s
         )
         resources.callback(self.env.close)
         self.model = build_model(config, self.task, self.env, seeds.policy)
+        self.model.set_logger(self.logger)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
         # After the model, which seeds the envs with its own seed.
         self.env.seed(seeds.training_envs)
 
-        directory.models.mkdir(exist_ok=True)
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:
             # Of an attempt that was killed before its first checkpoint.
@@ -101,30 +85,16 @@ class TrainingLoop:
             self._rollout_state = checkpoints.restore(
                 checkpoint, self.model, self.average, self._best
             )
+            self.bar.say(f"resuming at step {progress.step}")
 
-        self.metrics = MetricsLog(path / METRICS_FILE)
-        label = read_state(path).label
-        logger = make_logger(config.tracking, path, self.metrics, label, trackers.log)
-        resources.callback(logger.close)
-        self.model.set_logger(logger)
-        self.bar = TrainingProgress(
-            config.total_timesteps,
-            self.progress.step,
-            config.tracking.progress_bar,
-            heartbeat=directory.heartbeat,
-        )
-        resources.callback(self.bar.close)
-        self.bar.say(
-            f"{config.cell_name}, seed {config.seed}: {config.total_timesteps} env steps, in {path}"
-        )
-        for note in self.task.notes():
-            self.bar.say(note)
-        if checkpoint is not None:
-            self.bar.say(f"resuming at step {self.progress.step}")
+    @property
+    def step(self) -> int:
+        """Env steps trained so far."""
+        return self.model.num_timesteps
 
     def learn(self) -> None:
         """Train up to `total_timesteps`, with evaluations and checkpoints on the way."""
-        remaining = self.config.total_timesteps - self.model.num_timesteps
+        remaining = self.config.total_timesteps - self.step
         if remaining > 0:
             interval = self.config.tracking.log_interval
             own: list[BaseCallback] = [instantiate(node) for node in self.config.callbacks or ()]
@@ -137,26 +107,11 @@ class TrainingLoop:
         """Evaluate the model on the first of the fixed episodes."""
         self.bar.show_activity("evaluation")
         settings = self.config.evaluation
-        with self.average.applied():
+        with self.final_policy():
             episodes = self.run_episodes(settings.seeds(settings.n_scenes))
             summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
-        self.bar.say(describe_rates(summary, self.model.num_timesteps, self.task.metrics))
-
-    def run_episodes(
-        self,
-        seeds: Sequence[int],
-        simulator: str | None = None,
-        paths: PathRecorder | None = None,
-    ) -> pd.DataFrame:
-        """Return the greedy policy's episodes, or raise when a signal asks to stop."""
-        try:
-            return evaluate(
-                self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator, paths
-            )
-        except DivergenceError as error:
-            step = self.model.num_timesteps
-            raise DivergenceError(f"evaluation at step {step}: {error}") from error
+        self.bar.say(describe_rates(summary, self.step, self.task.metrics))
 
     def restore_rollout_state(self) -> None:
         """Set the rollout state of the checkpoint that the run was resumed from, once."""
@@ -166,7 +121,7 @@ class TrainingLoop:
 
     def save_checkpoint(self) -> None:
         """Save the whole state, unless this step is saved already."""
-        step = self.model.num_timesteps
+        step = self.step
         if step == self.progress.step:
             return
         self.progress.step = step
@@ -181,26 +136,11 @@ class TrainingLoop:
         )
         self._on_saved(self.directory)
 
-    def stop_if_asked(self) -> None:
-        """Raise InterruptedRunError if a signal has asked to stop."""
-        self.stop.raise_if_made(f" at step {self.model.num_timesteps}")
-
-    def times(self) -> tuple[float, float]:
-        """Return CPU and wall seconds of the run, earlier processes included."""
-        return time.process_time() - self._cpu_start, time.monotonic() - self._wall_start
-
     def record_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
-        """Append episodes to `episodes.csv`, log their summary and return it.
-
-        The phase is `eval`, `final` or `certified`. The best model so far of `eval` is kept.
-        """
-        step = self.model.num_timesteps
-        append_episodes(self.directory.path / EPISODES_FILE, episodes, phase, step)
-        summary = summarise(episodes, self.task.metrics)
-        for name, value in summary.items():
-            self.model.logger.record(f"{phase}/{name}", value)
+        """Record episodes; of the phase `eval`, the best model so far is kept."""
+        summary = super().record_evaluation(episodes, phase)
         if phase == "eval":
-            self.progress.evaluated = step
+            self.progress.evaluated = self.step
             self._keep_if_best(rank(summary, self.task))
         return summary
 
@@ -212,14 +152,18 @@ class TrainingLoop:
 
     def dump_metrics(self) -> None:
         """Write the logger's row of metrics."""
-        logger = self.model.logger
         buffer = self.model.replay_buffer
         if isinstance(buffer, HerBuffer) and buffer.real_fraction is not None:
-            logger.record("buffer/real_share", buffer.real_fraction)
-        cpu_s, wall_s = self.times()
-        logger.record("time/cpu_s", cpu_s)
-        logger.record("time/wall_s", wall_s)
-        logger.dump(self.model.num_timesteps)
+            self.logger.record("buffer/real_share", buffer.real_fraction)
+        super().dump_metrics()
+
+    def final_policy(self) -> AbstractContextManager[None]:
+        """Make `policy` the average of the policies within a block."""
+        return self.average.applied()
+
+    def save_final(self, path: Path) -> None:
+        """Write the model, as Stable-Baselines3 saves it."""
+        save_model(self.model, path)
 
 
 class RolloutCallback(BaseCallback):

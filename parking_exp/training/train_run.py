@@ -21,6 +21,8 @@ from parking_exp.runs.trained_here import record_training
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
+from parking_exp.training.run_session import RunSession
+from parking_exp.training.scripted_run import ScriptedRun
 from parking_exp.training.signals import StopRequest
 from parking_exp.training.trackers import RunTrackers
 
@@ -85,20 +87,25 @@ def _train_and_evaluate(
     record_provenance(directory.path)
     on_saved(directory)
     with ExitStack() as resources:
-        loop = TrainingLoop(config, directory, on_saved, trackers, checkpoint, stop, resources)
+        session: RunSession
+        if config.is_trained:
+            session = TrainingLoop(
+                config, directory, on_saved, trackers, checkpoint, stop, resources
+            )
+        else:
+            session = ScriptedRun(config, directory, trackers, stop, resources)
         try:
-            loop.learn()
-            with loop.average.applied():
-                episodes = finish(loop)
+            session.learn()
+            with session.final_policy():
+                episodes = finish(session)
         except InterruptedRunError:
-            loop.save_checkpoint()
+            session.save_checkpoint()
             raise
 
-    steps = loop.model.num_timesteps
-    metrics = loop.metrics.latest()
-    description = describe(episodes, loop.task.metrics)
+    metrics = session.metrics.latest()
+    description = describe(episodes, session.task.metrics)
     directory.finish(
-        RunResult(str(directory.path), directory.run_id, steps, metrics),
+        RunResult(str(directory.path), directory.run_id, session.step, metrics),
         success_rate=metrics.get("final/success_rate"),
         wall_s=metrics.get("time/wall_s"),
         cpu_s=metrics.get("time/cpu_s"),

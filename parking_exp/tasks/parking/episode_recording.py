@@ -10,6 +10,7 @@ from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scene_shapes import SceneShapes, scene_shapes
 from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation, Policy
 
 MOTION = ("x", "y", "heading", "speed", "acceleration", "steering")
@@ -41,6 +42,8 @@ def record_episodes(
     starts = lot_of(config).from_seeds(seeds)
     shapes = [scene_shapes(starts, row, walls=config.add_walls) for row in range(len(seeds))]
     simulator = Simulator(config, starts)
+    if isinstance(policy, ScriptedPolicy):
+        policy.start(seeds)
     outcomes = [""] * len(seeds)
     scenes = np.arange(len(seeds))
     observation = simulator.observe()
@@ -57,6 +60,8 @@ def record_episodes(
             ending = outcome("crash", bool(step.failed[row]), bool(step.is_success[row]))
             outcomes[scenes[row]] = ending
         simulator.keep(~done)
+        if isinstance(policy, ScriptedPolicy):
+            policy.keep(~done)
         scenes = scenes[~done]
         observation = {key: values[~done] for key, values in step.observation.items()}
 

@@ -13,6 +13,7 @@ from parking_exp.tasks.captions import LAST_FRAME_S, add_caption
 from parking_exp.tasks.metrics import outcome
 from parking_exp.tasks.parking.highway import make_env, skip_unused_work
 from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Policy
 
 MAX_EPISODE_S = 20.0  # a timeout lasts 100 s, and shows mostly a car that does not move
@@ -39,6 +40,8 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
         for scene in scenes:
             observation, info = env.reset(seed=scene)
             skip_unused_work(env)
+            if isinstance(policy, ScriptedPolicy):
+                policy.start([scene])
             steps = 0
             done = False
             images[:] = [draw()]

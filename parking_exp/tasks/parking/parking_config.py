@@ -1,5 +1,6 @@
 """The `env` group of parking-v0: highway-env's options under their own names, and some of ours."""
 
+import math
 from collections.abc import Iterator, Mapping
 from operator import not_
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -56,6 +57,11 @@ class ObservationConfig(ConfigModel):
     )
 
 
+# highway-env's own ranges of ContinuousAction, where the config has none.
+ACCELERATION_RANGE_MPS2 = (-5.0, 5.0)
+STEERING_RANGE_RAD = (-math.pi / 4, math.pi / 4)
+
+
 class ActionConfig(ConfigModel):
     """highway-env's `action` options."""
 
@@ -67,6 +73,14 @@ class ActionConfig(ConfigModel):
     lateral: Literal[True]
     dynamical: Literal[False]
     clip: bool
+
+    @property
+    def ranges(self) -> list[tuple[float, float]]:
+        """The ranges of acceleration and steering [m/s2, rad]."""
+        return [
+            self.acceleration_range or ACCELERATION_RANGE_MPS2,
+            self.steering_range or STEERING_RANGE_RAD,
+        ]
 
 
 class ParkingConfig(TaskConfig):

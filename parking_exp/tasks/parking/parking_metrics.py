@@ -57,4 +57,8 @@ METRICS: tuple[Metric, ...] = (
         "gear_changes", lambda e: e.info["gear_changes"], "Gear changes", "", "int64",
         in_reports=True
     ),
+    # Wall-clock time of a planner, before the episode; other agents have none.
+    Metric(
+        "plan_s", lambda e: e.info.get("plan_s", math.nan), "Planning time", "s", in_reports=True
+    ),
 )  # fmt: skip

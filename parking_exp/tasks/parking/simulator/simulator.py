@@ -38,9 +38,7 @@ from parking_exp.tasks.parking.simulator.dynamics import (
 from parking_exp.tasks.parking.simulator.scene_state import MOVING, SCALES, SceneState
 from parking_exp.tasks.task import Step
 
-# highway-env's own ranges, where the config has none: of ContinuousAction and of Vehicle.
-ACCELERATION_RANGE_MPS2: Range = (-5.0, 5.0)
-STEERING_RANGE_RAD: Range = (-np.pi / 4, np.pi / 4)
+# highway-env's own range of Vehicle, where the config has none.
 SPEED_RANGE_MPS: Range = (-40.0, 40.0)
 
 HALF_CAR_M = np.array([[CAR_LENGTH_M / 2], [CAR_WIDTH_M / 2]])
@@ -53,10 +51,8 @@ class Simulator:
 
     def __init__(self, config: ParkingConfig, scenes: Scenes) -> None:
         action = config.action
-        acceleration = action.acceleration_range or ACCELERATION_RANGE_MPS2
-        ranges = [acceleration, action.steering_range or STEERING_RANGE_RAD]
-        self._low = np.array([[low] for low, _ in ranges])
-        self._span = np.array([[high - low] for low, high in ranges])
+        self._low = np.array([[low] for low, _ in action.ranges])
+        self._span = np.array([[high - low] for low, high in action.ranges])
         low, high = action.speed_range or SPEED_RANGE_MPS
         self.speed_range = (low, high)
         self.clip = action.clip

@@ -1,0 +1,50 @@
+"""Follow trajectories with highway-env's car."""
+
+import numpy as np
+
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
+from parking_exp.tasks.parking.planning.free_space import REAR_M
+
+SETTLING_M = 1.0  # the way on which errors across the path and of the heading settle
+GAIN = 0.5  # share of an error along the path that is corrected in a step
+
+
+def controls(
+    poses: np.ndarray, references: np.ndarray, sharpest: float, dt: float, frames: int
+) -> np.ndarray:
+    """Return acceleration [m/s2] and steering angle [rad] of cars, shape (n, 2).
+
+    Feedforward drives the rear axle along its trajectory. Feedback corrects its distance from it,
+    with the gains of a critically damped oscillator.
+
+    Args:
+        poses: x, y, vx, vy, cos_h and sin_h of the cars, shape (n, 6) [m, m/s].
+        references: rows of their trajectories, shape (n, REFERENCE).
+        sharpest: the largest curvature that the rear axle can have [1/m].
+        dt: length of a frame of the simulation [s].
+        frames: of a policy step.
+    """
+    x, y, vx, vy, cos, sin = poses.T
+    ref_x, ref_y, ref_heading, _, next_speed, curvature, forward = references.T
+    speed = vx * cos + vy * sin
+    # A frame moves the car in the direction at its beginning, so not the rear axle moves along the
+    # heading, but a point before or behind it.
+    rear = REAR_M - speed * dt / 2
+    behind_x = ref_x - (x - rear * cos)
+    behind_y = ref_y - (y - rear * sin)
+    ref_cos = np.cos(ref_heading)
+    ref_sin = np.sin(ref_heading)
+    along = behind_x * ref_cos + behind_y * ref_sin
+    across = behind_y * ref_cos - behind_x * ref_sin
+    turned = np.arctan2(sin * ref_cos - cos * ref_sin, cos * ref_cos + sin * ref_sin)
+
+    curvature = curvature + across / SETTLING_M**2 - 2 * forward * turned / SETTLING_M
+    curvature = np.clip(curvature, -sharpest, sharpest)
+    steering = np.arctan(CAR_LENGTH_M * curvature)
+
+    # The simulator's speed is that of the centre, which is farther from the centre of the turn.
+    longer = np.hypot(1.0, REAR_M * curvature)
+    step_s = dt * frames
+    target = next_speed * longer + GAIN * along / step_s
+    acceleration = (target - speed) / step_s
+    return np.stack([acceleration, steering], axis=1)

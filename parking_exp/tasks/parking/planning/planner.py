@@ -1,0 +1,145 @@
+"""The agent that plans."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
+from parking_exp.tasks.parking.lot import lot_of
+from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.parking.parking_task import ParkingTask
+from parking_exp.tasks.parking.planning.controller import controls
+from parking_exp.tasks.parking.planning.free_space import REAR_M, FreeSpace
+from parking_exp.tasks.parking.planning.trajectory import trajectory
+from parking_exp.tasks.scripted_policy import ScriptedPolicy
+from parking_exp.tasks.task import Observation
+
+RESERVE = 1.04  # of the radius of a path to the smallest one, so that errors can be corrected
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was planned for a scene."""
+
+    trajectory: np.ndarray  # shape (steps, REFERENCE)
+    plan_s: float  # wall-clock time that it took
+
+
+class Planner(ScriptedPolicy):
+    """Plans a path on the map of a scene, and follows it; without a path, the car stands.
+
+    Args:
+        task: parking.
+        seed: of its random numbers, together with the scene's.
+        planner: the name of one of OMPL's planners.
+        margin_m: the distance of paths to everything else.
+        time_limit_s: CPU time for the path of a scene.
+    """
+
+    task: ParkingTask
+
+    def __init__(
+        self,
+        task: ParkingTask,
+        seed: int,
+        planner: str = "RRTConnect",
+        margin_m: float = 0.1,
+        time_limit_s: float = 10.0,
+    ) -> None:
+        super().__init__(task, seed)
+        self._planner = planner
+        self._margin_m = margin_m
+        self._time_limit_s = time_limit_s
+        config = task.config
+        self._dt = 1 / config.simulation_frequency
+        self._frames = config.simulation_frequency // config.policy_frequency
+        self._low, self._high = np.transpose(config.action.ranges)
+        self._scales = np.array(config.observation.scales)
+        self._sharpest = np.tan(_steering_limit(config)) / CAR_LENGTH_M
+        self._plans: dict[int, Plan] = {}
+        self._batch: list[Plan] = []
+        self._step = 0
+
+    @classmethod
+    def problems(cls, env: Any, arguments: Mapping[str, Any]) -> Iterator[str]:
+        """Yield why it can't plan: another task, no OMPL, no planner of this name."""
+        if find_spec("ompl") is None:
+            yield "algorithm=planner: ompl is not installed; pip install 'parking-exp[planning]'"
+            return
+        if not isinstance(env, ParkingConfig):
+            yield f"algorithm=planner drives in parking tasks only; env={env.name} is another task"
+            return
+        from parking_exp.tasks.parking.planning.reeds_shepp import planner_names
+
+        name = arguments.get("planner", "RRTConnect")
+        known = planner_names()
+        if name not in known:
+            choices = ", ".join(known)
+            yield f"algorithm.planner={name}: OMPL has no such planner; choose from {choices}"
+        if _steering_limit(env) <= 0:
+            yield "algorithm=planner: env.action.steering_range has to allow steering to both sides"
+
+    def start(self, seeds: Sequence[int], on_progress: Callable[[], None] | None = None) -> None:
+        """Plan for the scenes that have no plan yet."""
+        for seed in seeds:
+            if seed not in self._plans:
+                self._plans[seed] = self.plan(seed)
+                if on_progress is not None:
+                    on_progress()
+        self._batch = [self._plans[seed] for seed in seeds]
+        self._step = 0
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """Return actions that follow the plans, shape (n, 2)."""
+        rows = []
+        for plan in self._batch:
+            last = len(plan.trajectory) - 1
+            rows.append(plan.trajectory[min(self._step, last)])
+        self._step += 1
+        poses = observation["achieved_goal"] * self._scales
+        asked = controls(poses, np.array(rows), self._sharpest, self._dt, self._frames)
+        actions = 2 * (asked - self._low) / (self._high - self._low) - 1
+        return np.clip(actions, -1, 1)
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Keep only some scenes of the batch, by mask."""
+        self._batch = [self._batch[row] for row in np.flatnonzero(rows)]
+
+    def info(self, row: int) -> dict[str, float]:
+        """Return how long the plan of a scene took."""
+        return {"plan_s": self._batch[row].plan_s}
+
+    def plan(self, seed: int) -> Plan:
+        """Plan for a scene: `env.reset(seed=seed)`."""
+        from parking_exp.tasks.parking.planning.reeds_shepp import PathSettings, plan_path
+
+        began = time.perf_counter()
+        config = self.task.config
+        scenes = lot_of(config).from_seeds([seed])
+        space = FreeSpace(scenes, 0, walls=config.add_walls, margin_m=self._margin_m)
+        start = _rear_pose(scenes.start[0])
+        # The numbers of a scene do not depend on the scenes before it.
+        (path_seed,) = np.random.SeedSequence([self.seed, seed]).generate_state(1).tolist()
+        settings = PathSettings(
+            self._planner, RESERVE / self._sharpest, self._time_limit_s, path_seed or 1
+        )
+        path = plan_path(start, _rear_pose(scenes.goal_pose[0]), space, settings)
+        if path is None:
+            path = start[None]
+        return Plan(trajectory(path, self._dt * self._frames), time.perf_counter() - began)
+
+
+def _rear_pose(pose: np.ndarray) -> np.ndarray:
+    """Return the pose of the rear axle of a car, shape (3,)."""
+    x, y, heading = pose
+    return np.array([x - REAR_M * np.cos(heading), y - REAR_M * np.sin(heading), heading])
+
+
+def _steering_limit(config: ParkingConfig) -> float:
+    """Return the largest steering angle to both sides [rad]."""
+    _, (low, high) = config.action.ranges
+    return min(-low, high)

@@ -1,0 +1,155 @@
+"""Plan paths of Reeds-Shepp curves with OMPL (Sucan, Moll and Kavraki 2012)."""
+
+import time
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from ompl import base, geometric, util
+
+from parking_exp.tasks.parking.planning.free_space import FreeSpace
+
+RANGE_M = 0.5  # the longest new branch of a tree: in tight slots, longer ones hit something
+CHECK_M = 0.1  # between the poses of a motion that are tested
+SAMPLE_M = 0.02  # between the poses of a path
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """How a path is planned.
+
+    Attributes:
+        planner: the name of a class in `ompl.geometric`.
+        radius_m: the smallest radius of the rear axle.
+        time_limit_s: CPU time for a path.
+        seed: of OMPL's random numbers.
+    """
+
+    planner: str
+    radius_m: float
+    time_limit_s: float
+    seed: int
+
+
+def planner_names() -> list[str]:
+    """Return the names of OMPL's planners."""
+    names = []
+    for name, member in vars(geometric).items():
+        if isinstance(member, type) and issubclass(member, base.Planner):
+            names.append(name)
+    return sorted(names)
+
+
+def plan_path(
+    start: np.ndarray, goal: np.ndarray, space: FreeSpace, settings: PathSettings
+) -> np.ndarray | None:
+    """Return a path from one pose of the rear axle to another, or None if none was found.
+
+    Args:
+        start, goal: shape (3,) [m, m, rad].
+        space: in which the path lies.
+        settings: of the planner.
+
+    Returns:
+        Poses that are close to each other, shape (n, 3); headings do not jump.
+    """
+    end = time.process_time() + settings.time_limit_s
+    util.noOutputHandler()  # it warns that the seed is not the first of the process
+    # Random numbers of planners and samplers that are made after this line follow from the seed.
+    util.RNG.setSeed(settings.seed)
+
+    states = base.ReedsSheppStateSpace(settings.radius_m)
+    bounds = base.RealVectorBounds(2)
+    for axis, half in enumerate(space.half_box.tolist()):
+        bounds.setLow(axis, -half)
+        bounds.setHigh(axis, half)
+    states.setBounds(bounds)
+
+    problem = geometric.SimpleSetup(states)
+    information = problem.getSpaceInformation()
+    information.setMotionValidator(_MotionValidator(information, states, space))
+    problem.setStateValidityChecker(_PoseChecker(information, space))
+    problem.setStartAndGoalStates(_state(states, start), _state(states, goal))
+    problem.setOptimizationObjective(_any_path(information))
+    planner = getattr(geometric, settings.planner)(information)
+    if hasattr(planner, "setRange"):
+        planner.setRange(RANGE_M)
+    problem.setPlanner(planner)
+
+    try:
+        problem.solve(base.PlannerTerminationCondition(lambda: time.process_time() > end))
+        if not problem.haveExactSolutionPath():
+            return None
+        path = problem.getSolutionPath()
+        geometric.PathSimplifier(information).reduceVertices(path)
+        return _poses(states, path)
+    finally:
+        # Our classes would otherwise keep the problem in memory, and it keeps them.
+        information.setMotionValidator(base.ReedsSheppMotionValidator(information))
+        problem.setStateValidityChecker(base.AllValidStateValidityChecker(information))
+
+
+class _PoseChecker(base.StateValidityChecker):
+    """Tests single poses."""
+
+    def __init__(self, information: Any, space: FreeSpace) -> None:
+        super().__init__(information)
+        self._space = space
+
+    def isValid(self, state: Any) -> bool:  # OMPL's name
+        return self._space.contains(_pose(state)[None])
+
+
+class _MotionValidator(base.MotionValidator):
+    """Tests all poses of a motion at once."""
+
+    def __init__(self, information: Any, states: Any, space: FreeSpace) -> None:
+        super().__init__(information)
+        self._states = states
+        self._space = space
+
+    def checkMotion(self, first: Any, second: Any) -> bool:  # OMPL's name
+        return self._space.contains(_motion(self._states, first, second, CHECK_M))
+
+
+def _any_path(information: Any) -> Any:
+    """Return an objective that any path meets, so that all planners stop at their first."""
+    objective = base.PathLengthOptimizationObjective(information)
+    objective.setCostThreshold(base.Cost(np.inf))
+    return objective
+
+
+def _state(states: Any, pose: np.ndarray) -> Any:
+    state = states.allocState()
+    x, y, heading = pose.tolist()
+    state.setXY(x, y)
+    state.setYaw(heading)
+    states.enforceBounds(state)
+    return state
+
+
+def _pose(state: Any) -> np.ndarray:
+    return np.array([state.getX(), state.getY(), state.getYaw()])
+
+
+def _motion(states: Any, first: Any, second: Any, step_m: float) -> np.ndarray:
+    """Return poses from one state to another, both included, shape (n, 3)."""
+    n = int(np.ceil(states.distance(first, second) / step_m)) + 1
+    between = states.allocState()
+    poses = np.empty((n + 1, 3))
+    for index, share in enumerate(np.linspace(0, 1, n + 1).tolist()):
+        states.interpolate(first, second, share, between)
+        poses[index] = _pose(between)
+    return poses
+
+
+def _poses(states: Any, path: Any) -> np.ndarray:
+    """Return the poses of a path."""
+    corners = path.getStates()
+    motions = [_pose(corners[0])[None]]
+    for first, second in pairwise(corners):
+        motions.append(_motion(states, first, second, SAMPLE_M)[1:])
+    poses = np.concatenate(motions)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return poses

@@ -1,0 +1,74 @@
+"""Trajectories: paths with a speed at each time."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+SPEED_MPS = 2.5
+ACCELERATION_MPS2 = 3.0  # less than the car's, so that errors can be corrected
+STEP_M = 0.5  # the longest way between two actions
+
+REFERENCE = ("x", "y", "heading", "speed", "next_speed", "curvature", "forward")
+"""Columns of a trajectory: pose [m, m, rad] and signed speed [m/s] of the rear axle at a step; its
+speed at the next step; its curvature [1/m] and the direction of motion, 1 or -1, until then.
+"""
+
+
+def trajectory(path: np.ndarray, step_s: float) -> np.ndarray:
+    """Return what the rear axle should do on a path at each policy step, shape (steps, REFERENCE).
+
+    The car stops where the path changes its direction, and at its end.
+
+    Args:
+        path: poses, shape (n, 3) [m, m, rad].
+        step_s: length of a policy step [s].
+    """
+    parts = []
+    if len(path) > 1:
+        parts = [_part(poses, forward, step_s) for poses, forward in _directed(path)]
+    x, y, heading = path[-1]
+    parts.append(np.array([[x, y, heading, 0.0, 0.0, 0.0, 1.0]]))  # stand
+    return np.concatenate(parts)
+
+
+def _directed(path: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+    """Yield the parts of a path without a change of direction, and the direction of each."""
+    way = np.diff(path[:, :2], axis=0)
+    heading = (path[:-1, 2] + path[1:, 2]) / 2
+    ahead = way[:, 0] * np.cos(heading) + way[:, 1] * np.sin(heading)
+    forward = np.where(ahead >= 0, 1.0, -1.0)
+    changes = np.flatnonzero(np.diff(forward)) + 1
+    firsts = [0, *changes.tolist()]
+    lasts = [*changes.tolist(), len(way)]
+    for first, last in zip(firsts, lasts, strict=True):
+        yield path[first : last + 1], float(forward[first])
+
+
+def _part(poses: np.ndarray, forward: float, step_s: float) -> np.ndarray:
+    """Return the trajectory of a part in one direction, from standstill to standstill."""
+    steps_m = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    distance = np.concatenate([[0.0], np.cumsum(steps_m)])
+    speed = _speeds(distance[-1], step_s)
+    covered = (speed[:-1] + speed[1:]) / 2 * step_s
+    reached = np.concatenate([[0.0], np.cumsum(covered)])
+
+    x, y, heading = (np.interp(reached, distance, column) for column in poses.T)
+    curvature = forward * np.diff(heading) / np.maximum(np.diff(reached), 1e-9)
+    columns = [x, y, heading, forward * speed]
+    parts = [column[:-1] for column in columns]
+    parts += [forward * speed[1:], curvature, np.full(len(curvature), forward)]
+    return np.stack(parts, axis=1)
+
+
+def _speeds(distance: float, step_s: float) -> np.ndarray:
+    """Return speeds at policy steps that cover a distance, the first and the last of them 0."""
+    fastest = min(SPEED_MPS, STEP_M / step_s)
+    n = 2
+    while True:
+        steps = np.arange(n + 1)
+        speed = ACCELERATION_MPS2 * step_s * np.minimum(steps, n - steps)
+        speed = np.minimum(speed, fastest)
+        covered = speed.sum() * step_s
+        if covered >= distance:
+            return speed * (distance / covered)
+        n += 1

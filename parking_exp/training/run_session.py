@@ -1,0 +1,137 @@
+"""What every run does, trained or not: evaluate a policy, log the results, show the progress."""
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from pathlib import Path
+
+import pandas as pd
+
+from parking_exp.config.schema import RunConfig
+from parking_exp.errors import DivergenceError
+from parking_exp.evaluation.evaluate_policy import evaluate, summarise
+from parking_exp.evaluation.path_recorder import PathRecorder
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MetricsLog, append_episodes
+from parking_exp.runs.run_state import read_state
+from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.task import Policy
+from parking_exp.training.checkpoints import SavedProgress
+from parking_exp.training.loggers import make_logger
+from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.signals import StopRequest
+from parking_exp.training.trackers import RunTrackers
+
+
+class RunSession(ABC):
+    """A run in one process, from its start or from a checkpoint.
+
+    Args:
+        config: of the run.
+        directory: of the run.
+        trackers: which get each row of metrics.
+        progress: so far.
+        stop: asks the run to stop.
+        resources: closes the task, the logs and the progress bar.
+    """
+
+    policy: Policy
+
+    def __init__(
+        self,
+        config: RunConfig,
+        directory: RunDirectory,
+        trackers: RunTrackers,
+        progress: SavedProgress,
+        stop: StopRequest,
+        resources: ExitStack,
+    ) -> None:
+        self.config = config
+        self.directory = directory
+        self.progress = progress
+        self.stop = stop
+        self._cpu_start = time.process_time() - progress.cpu_s
+        self._wall_start = time.monotonic() - progress.wall_s
+
+        path = directory.path
+        directory.models.mkdir(exist_ok=True)
+        self.task = make_task(config.env)
+        resources.callback(self.task.close)
+        self.metrics = MetricsLog(path / METRICS_FILE)
+        label = read_state(path).label
+        self.logger = make_logger(config.tracking, path, self.metrics, label, trackers.log)
+        resources.callback(self.logger.close)
+        self.bar = TrainingProgress(
+            config.total_timesteps,
+            progress.step,
+            config.tracking.progress_bar,
+            heartbeat=directory.heartbeat,
+        )
+        resources.callback(self.bar.close)
+        self.bar.say(
+            f"{config.cell_name}, seed {config.seed}: {config.total_timesteps} env steps, in {path}"
+        )
+        for note in self.task.notes():
+            self.bar.say(note)
+
+    @property
+    @abstractmethod
+    def step(self) -> int:
+        """Env steps trained so far."""
+
+    @abstractmethod
+    def learn(self) -> None:
+        """Train up to `total_timesteps`."""
+
+    @abstractmethod
+    def save_final(self, path: Path) -> None:
+        """Write the file of the final policy."""
+
+    def final_policy(self) -> AbstractContextManager[None]:
+        """Make `policy` the final one within a block."""
+        return nullcontext()
+
+    @abstractmethod
+    def save_checkpoint(self) -> None:
+        """Save the whole state, from which the run can be resumed."""
+
+    def run_episodes(
+        self,
+        seeds: Sequence[int],
+        simulator: str | None = None,
+        paths: PathRecorder | None = None,
+    ) -> pd.DataFrame:
+        """Return the policy's episodes, or raise when a signal asks to stop."""
+        try:
+            return evaluate(
+                self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator, paths
+            )
+        except DivergenceError as error:
+            raise DivergenceError(f"evaluation at step {self.step}: {error}") from error
+
+    def stop_if_asked(self) -> None:
+        """Raise InterruptedRunError if a signal has asked to stop."""
+        self.stop.raise_if_made(f" at step {self.step}")
+
+    def times(self) -> tuple[float, float]:
+        """Return CPU and wall seconds of the run, earlier processes included."""
+        return time.process_time() - self._cpu_start, time.monotonic() - self._wall_start
+
+    def record_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
+        """Append episodes to `episodes.csv`, log their summary and return it.
+
+        The phase is `eval`, `final` or `certified`.
+        """
+        append_episodes(self.directory.path / EPISODES_FILE, episodes, phase, self.step)
+        summary = summarise(episodes, self.task.metrics)
+        for name, value in summary.items():
+            self.logger.record(f"{phase}/{name}", value)
+        return summary
+
+    def dump_metrics(self) -> None:
+        """Write the logger's row of metrics."""
+        cpu_s, wall_s = self.times()
+        self.logger.record("time/cpu_s", cpu_s)
+        self.logger.record("time/wall_s", wall_s)
+        self.logger.dump(self.step)

@@ -1,0 +1,43 @@
+"""A run whose policy is not trained."""
+
+import zipfile
+from contextlib import ExitStack
+from pathlib import Path
+
+from parking_exp.algorithms.scripted_policies import build_scripted_policy
+from parking_exp.config.schema import RunConfig
+from parking_exp.runs.atomic_files import replacing
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_files import CONFIG_FILE
+from parking_exp.training.checkpoints import SavedProgress
+from parking_exp.training.run_session import RunSession
+from parking_exp.training.signals import StopRequest
+from parking_exp.training.trackers import RunTrackers
+
+
+class ScriptedRun(RunSession):
+    """A run that evaluates a scripted policy. It has no checkpoints."""
+
+    step = 0
+
+    def __init__(
+        self,
+        config: RunConfig,
+        directory: RunDirectory,
+        trackers: RunTrackers,
+        stop: StopRequest,
+        resources: ExitStack,
+    ) -> None:
+        super().__init__(config, directory, trackers, SavedProgress(), stop, resources)
+        self.policy = build_scripted_policy(config, self.task)
+
+    def learn(self) -> None:
+        """Do nothing."""
+
+    def save_checkpoint(self) -> None:
+        """Do nothing: a resumed run starts anew."""
+
+    def save_final(self, path: Path) -> None:
+        """Write a file with the run's config, which is all that there is of the policy."""
+        with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+            archive.write(self.directory.path / CONFIG_FILE, CONFIG_FILE)
