@@ -1,7 +1,7 @@
 """The `env` group of parking-v0: highway-env's options under their own names, and some of ours."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from operator import not_
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -75,7 +75,7 @@ class ActionConfig(ConfigModel):
     clip: bool
 
     @property
-    def ranges(self) -> list[tuple[float, float]]:
+    def ranges(self) -> list[Sequence[float]]:
         """The ranges of acceleration and steering [m/s2, rad]."""
         return [
             self.acceleration_range or ACCELERATION_RANGE_MPS2,

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,6 +18,10 @@ from parking_exp.tasks.parking.planning.trajectory import trajectory
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation
 
+OmplPlanner = Literal[
+    "RRTConnect", "RRT", "RRTstar", "InformedRRTstar", "BITstar", "FMT", "BFMT", "KPIECE1"
+]
+"""Planners of OMPL that find paths here. PRM's threads would wait for Python forever."""
 RESERVE = 1.04  # of the radius of a path to the smallest one, so that errors can be corrected
 
 
@@ -46,7 +50,7 @@ class Planner(ScriptedPolicy):
         self,
         task: ParkingTask,
         seed: int,
-        planner: str = "RRTConnect",
+        planner: OmplPlanner = "RRTConnect",
         margin_m: float = 0.1,
         time_limit_s: float = 10.0,
     ) -> None:
@@ -66,20 +70,13 @@ class Planner(ScriptedPolicy):
 
     @classmethod
     def problems(cls, env: Any, arguments: Mapping[str, Any]) -> Iterator[str]:
-        """Yield why it can't plan: another task, no OMPL, no planner of this name."""
+        """Yield why it can't plan: without OMPL, or in another task."""
         if find_spec("ompl") is None:
             yield "algorithm=planner: ompl is not installed; pip install 'parking-exp[planning]'"
             return
         if not isinstance(env, ParkingConfig):
             yield f"algorithm=planner drives in parking tasks only; env={env.name} is another task"
             return
-        from parking_exp.tasks.parking.planning.reeds_shepp import planner_names
-
-        name = arguments.get("planner", "RRTConnect")
-        known = planner_names()
-        if name not in known:
-            choices = ", ".join(known)
-            yield f"algorithm.planner={name}: OMPL has no such planner; choose from {choices}"
         if _steering_limit(env) <= 0:
             yield "algorithm=planner: env.action.steering_range has to allow steering to both sides"
 
@@ -114,23 +111,35 @@ class Planner(ScriptedPolicy):
         return {"plan_s": self._batch[row].plan_s}
 
     def plan(self, seed: int) -> Plan:
-        """Plan for a scene: `env.reset(seed=seed)`."""
-        from parking_exp.tasks.parking.planning.reeds_shepp import PathSettings, plan_path
-
+        """Plan for a scene, that of `env.reset(seed=seed)`."""
         began = time.perf_counter()
+        path = self.find_path(seed)
+        if path is None:
+            scenes = lot_of(self.task.config).from_seeds([seed])
+            path = _rear_pose(scenes.start[0])[None]
+        plan = trajectory(path, self._dt * self._frames)
+        return Plan(plan, time.perf_counter() - began)
+
+    def find_path(self, seed: int) -> np.ndarray | None:
+        """Return the path of a scene: poses of the rear axle, shape (n, 3) [m, m, rad]; None if no
+        path was found in time.
+        """
+        from parking_exp.tasks.parking.planning.reeds_shepp import plan_path
+
         config = self.task.config
         scenes = lot_of(config).from_seeds([seed])
         space = FreeSpace(scenes, 0, walls=config.add_walls, margin_m=self._margin_m)
-        start = _rear_pose(scenes.start[0])
         # The numbers of a scene do not depend on the scenes before it.
         (path_seed,) = np.random.SeedSequence([self.seed, seed]).generate_state(1).tolist()
-        settings = PathSettings(
-            self._planner, RESERVE / self._sharpest, self._time_limit_s, path_seed or 1
+        return plan_path(
+            _rear_pose(scenes.start[0]),
+            _rear_pose(scenes.goal_pose[0]),
+            space,
+            planner=self._planner,
+            radius_m=RESERVE / self._sharpest,
+            time_limit_s=self._time_limit_s,
+            seed=max(path_seed, 1),
         )
-        path = plan_path(start, _rear_pose(scenes.goal_pose[0]), space, settings)
-        if path is None:
-            path = start[None]
-        return Plan(trajectory(path, self._dt * self._frames), time.perf_counter() - began)
 
 
 def _rear_pose(pose: np.ndarray) -> np.ndarray:

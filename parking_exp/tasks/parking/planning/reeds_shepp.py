@@ -1,7 +1,7 @@
 """Plan paths of Reeds-Shepp curves with OMPL (Sucan, Moll and Kavraki 2012)."""
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -15,51 +15,39 @@ CHECK_M = 0.1  # between the poses of a motion that are tested
 SAMPLE_M = 0.02  # between the poses of a path
 
 
-@dataclass(frozen=True)
-class PathSettings:
-    """How a path is planned.
-
-    Attributes:
-        planner: the name of a class in `ompl.geometric`.
-        radius_m: the smallest radius of the rear axle.
-        time_limit_s: CPU time for a path.
-        seed: of OMPL's random numbers.
-    """
-
-    planner: str
-    radius_m: float
-    time_limit_s: float
-    seed: int
-
-
-def planner_names() -> list[str]:
-    """Return the names of OMPL's planners."""
-    names = []
-    for name, member in vars(geometric).items():
-        if isinstance(member, type) and issubclass(member, base.Planner):
-            names.append(name)
-    return sorted(names)
-
-
 def plan_path(
-    start: np.ndarray, goal: np.ndarray, space: FreeSpace, settings: PathSettings
+    start: np.ndarray,
+    goal: np.ndarray,
+    space: FreeSpace,
+    *,
+    planner: str,
+    radius_m: float,
+    time_limit_s: float,
+    seed: int,
 ) -> np.ndarray | None:
     """Return a path from one pose of the rear axle to another, or None if none was found.
 
     Args:
         start, goal: shape (3,) [m, m, rad].
         space: in which the path lies.
-        settings: of the planner.
+        planner: the name of a class in `ompl.geometric`.
+        radius_m: the smallest radius of the rear axle.
+        time_limit_s: CPU time.
+        seed: of OMPL's random numbers, above 0.
 
     Returns:
         Poses that are close to each other, shape (n, 3); headings do not jump.
     """
-    end = time.process_time() + settings.time_limit_s
+    end = time.process_time() + time_limit_s
+
+    def is_over() -> bool:
+        return time.process_time() > end
+
     util.noOutputHandler()  # it warns that the seed is not the first of the process
     # Random numbers of planners and samplers that are made after this line follow from the seed.
-    util.RNG.setSeed(settings.seed)
+    util.RNG.setSeed(seed)
 
-    states = base.ReedsSheppStateSpace(settings.radius_m)
+    states = base.ReedsSheppStateSpace(radius_m)
     bounds = base.RealVectorBounds(2)
     for axis, half in enumerate(space.half_box.tolist()):
         bounds.setLow(axis, -half)
@@ -68,17 +56,17 @@ def plan_path(
 
     problem = geometric.SimpleSetup(states)
     information = problem.getSpaceInformation()
-    information.setMotionValidator(_MotionValidator(information, states, space))
+    information.setMotionValidator(_MotionValidator(information, states, space, is_over))
     problem.setStateValidityChecker(_PoseChecker(information, space))
     problem.setStartAndGoalStates(_state(states, start), _state(states, goal))
     problem.setOptimizationObjective(_any_path(information))
-    planner = getattr(geometric, settings.planner)(information)
-    if hasattr(planner, "setRange"):
-        planner.setRange(RANGE_M)
-    problem.setPlanner(planner)
+    solver = getattr(geometric, planner)(information)
+    if hasattr(solver, "setRange"):
+        solver.setRange(RANGE_M)
+    problem.setPlanner(solver)
 
     try:
-        problem.solve(base.PlannerTerminationCondition(lambda: time.process_time() > end))
+        problem.solve(base.PlannerTerminationCondition(is_over))
         if not problem.haveExactSolutionPath():
             return None
         path = problem.getSolutionPath()
@@ -104,12 +92,23 @@ class _PoseChecker(base.StateValidityChecker):
 class _MotionValidator(base.MotionValidator):
     """Tests all poses of a motion at once."""
 
-    def __init__(self, information: Any, states: Any, space: FreeSpace) -> None:
+    def __init__(
+        self, information: Any, states: Any, space: FreeSpace, is_over: Callable[[], bool]
+    ) -> None:
         super().__init__(information)
         self._states = states
         self._space = space
+        self._is_over = is_over
+        self._previous = np.empty((2, 3))
 
     def checkMotion(self, first: Any, second: Any) -> bool:  # OMPL's name
+        # RRTConnect connects its trees step by step, each from the nearest state. Rounding may make
+        # OMPL's distances grow on the way; it would then repeat a step forever.
+        ends = np.stack([_pose(first), _pose(second)])
+        is_repeated = np.array_equal(ends, self._previous)
+        self._previous = ends
+        if is_repeated or self._is_over():
+            return False
         return self._space.contains(_motion(self._states, first, second, CHECK_M))
 
 

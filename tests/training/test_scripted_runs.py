@@ -1,0 +1,96 @@
+"""Runs of a policy that is not trained: from the command to the result, killed, evaluated again."""
+
+import json
+import subprocess
+
+import pandas as pd
+import pytest
+from support.runs import call_script, make_config, only_run, script, store
+from support.sweep_processes import wait_until
+
+from parking_exp import load_model
+from parking_exp.errors import ModelError
+
+PLANNER = (
+    "env=parking_parallel",
+    "algorithm=planner",
+    "evaluation.n_scenes=2",
+    "evaluation.final_n_scenes=6",
+    "evaluation.n_certified_scenes=1",
+    "evaluation.video_episodes=0",
+)
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """The output directory of a finished run of the planner, and what it printed."""
+    output_dir = tmp_path_factory.mktemp("planned")
+    done = call_script("train", *PLANNER, f"output_dir={output_dir}")
+    assert done.returncode == 0, done.stderr
+    return output_dir, done
+
+
+def episodes(output_dir):
+    """The episodes of a run without what a clock says."""
+    return pd.read_csv(only_run(output_dir).path / "episodes.csv").drop(columns="plan_s")
+
+
+def test_a_run_of_the_planner_has_its_episodes_its_metrics_and_no_env_steps(planned):
+    output_dir, done = planned
+    assert "parked   100.0%" in done.stdout
+    assert "after 0 env steps" in done.stdout
+    directory = only_run(output_dir)
+    table = pd.read_csv(directory.path / "episodes.csv")
+    assert table["phase"].value_counts().to_dict() == {"final": 6, "eval": 2, "certified": 1}
+    assert set(table["step"]) == {0}
+    assert set(table["outcome"]) == {"success"}
+    assert (table["plan_s"] > 0).all()
+    assert directory.config().total_timesteps == 0
+    assert directory.result().steps == 0
+    metrics = store(output_dir).get_run(directory.run_id).data.metrics
+    final = table[table["phase"] == "final"]
+    assert metrics["final/plan_s_mean"] == pytest.approx(final["plan_s"].mean())
+
+
+def test_a_run_that_is_killed_while_it_plans_ends_as_if_it_had_not_been(planned, tmp_path):
+    command, options = script("train", *PLANNER, f"output_dir={tmp_path}")
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **options
+    )
+
+    def is_evaluating():
+        beats = list(tmp_path.glob("*/*/seed=*/beat.json"))
+        return beats and json.loads(beats[0].read_text())["doing"] == "final evaluation"
+
+    wait_until(is_evaluating)
+    process.kill()
+    process.wait()
+    assert only_run(tmp_path).status == "running"
+    again = call_script("train", *PLANNER, f"output_dir={tmp_path}")
+    assert again.returncode == 0, again.stderr
+    pd.testing.assert_frame_equal(episodes(tmp_path), episodes(planned[0]))
+
+
+def test_a_finished_run_is_evaluated_with_a_replay_of_the_same_episodes(planned):
+    output_dir, _ = planned
+    done = call_script(
+        "evaluate", "run=latest", f"output_dir={output_dir}", "episodes=6", "replay=true",
+        "simulator=vectorized",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    folder = only_run(output_dir).path / "evaluations/parking_parallel-final-seeds-0-5-vectorized"
+    assert (folder / "replay.html").stat().st_size > 10_000
+    evaluated = pd.read_csv(folder / "episodes.csv").drop(columns="plan_s")
+    final = episodes(output_dir).query("phase == 'final'").reset_index(drop=True)
+    pd.testing.assert_frame_equal(evaluated, final.drop(columns=["phase", "step"]))
+
+
+def test_the_planner_has_no_model_to_load(planned):
+    with pytest.raises(ModelError) as error:
+        load_model("latest", planned[0])
+    assert str(error.value).startswith("algorithm=planner is not trained, so it has no model; ")
+
+
+def test_keys_of_training_change_no_env_steps_of_what_is_not_trained():
+    assert make_config("algorithm=planner", "total_timesteps=5000").total_timesteps == 0
+    assert make_config("algorithm=sac").total_timesteps == 256_000
