@@ -55,7 +55,7 @@ def build_model(
     is_mirrored = issubclass(features.get("features_extractor_class", type), SymmetricFeatures)
     arguments["policy"] = MIRRORED[policy_class(algorithm)] if is_mirrored else POLICY
     arguments["policy_kwargs"] = {
-        "net_arch": list(config.algorithm.net_arch),
+        "net_arch": list(config.algorithm.net_arch or ()),
         **features,
         **_instantiate_classes(custom_policy_kwargs),
     }

@@ -269,8 +269,8 @@ def _check_value(
     try:
         TypeAdapter(limit, config=STRICT).validate_python(value)
     except ValidationError as error:
-        messages = [problem["msg"] for problem in error.errors()]
-        reasons = [message.removeprefix("Value error, ").lower() for message in messages]
+        messages = [problem["msg"].removeprefix("Value error, ") for problem in error.errors()]
+        reasons = [message[0].lower() + message[1:] for message in messages]
         yield f"{key}={value!r}: {' or '.join(reasons)}"
 
 

@@ -20,6 +20,7 @@ from parking_exp.statistics import (
     mean_interval,
     normalised_area,
     steps_to,
+    wilson_interval,
 )
 from parking_exp.tasks.metrics import EPISODE_SEED, Metric
 from parking_exp.tasks.registry import FAILURES, METRICS, added_metrics, task_reports
@@ -75,10 +76,13 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
     seeds = [_summarise_run(run, evaluations) for run in cell.done.to_dict("records")]
     success = [seed.success for seed in seeds if seed.success is not None]
     n_episodes = min((seed.n_episodes or 0 for seed in seeds), default=0) or None
+    total_timesteps = _to_int(cell.config.get("total_timesteps"))
     means = {}
     for name in [*REPORTED, *added_metrics(cell.done.columns)]:
         values = [seed.metric(name) for seed in seeds]
         means[name] = _average(values, is_rate(name), n_episodes)
+        if total_timesteps == 0 and is_rate(name):
+            means[name] = _episode_interval(means[name], n_episodes)
     curve_runs = cell.runs if unfinished else cell.done
     return CellSummary(
         id=cell.id,
@@ -87,7 +91,7 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
         name=cell.name,
         settings=cell.settings,
         counts=_count_stages(cell.runs["status"]),
-        total_timesteps=_to_int(cell.config.get("total_timesteps")),
+        total_timesteps=total_timesteps,
         cpu_s=_average([seed.cpu_s for seed in seeds]),
         area=_average([seed.area for seed in seeds], is_rate=True),
         seeds=seeds,
@@ -238,6 +242,17 @@ def _average(
     if is_rate and not is_constant:
         return mean_interval(known, n_episodes)
     return Interval(sum(known) / len(known), n=len(known))
+
+
+def _episode_interval(mean: Interval, n_episodes: int | None) -> Interval:
+    """Return the rate of a single seed with the interval over its episodes.
+
+    That is for what is not trained: its seeds do not collapse as trainings may.
+    """
+    if mean.n != 1 or mean.value is None or n_episodes is None:
+        return mean
+    low, high = wilson_interval(round(mean.value * n_episodes), n_episodes)
+    return Interval(mean.value, low, high, 1)
 
 
 def _count_stages(status: pd.Series) -> dict[str, int]:

@@ -30,6 +30,11 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         "Below ten seeds they are compatibility intervals: they show which means go well with the "
         "seeds, and cover less than 95 % where seeds collapse. A single seed has no interval."
     )
+    if any(cell.total_timesteps == 0 for cell in report.cells):
+        yield (
+            "What is not trained has no env steps. With a single seed, the intervals of its rates "
+            "are Wilson's, over its episodes."
+        )
     yield "CPU-seconds of a run count everything, its final evaluation and cross-check included."
     fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)
     if fewest > 1:

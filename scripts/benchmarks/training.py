@@ -125,7 +125,7 @@ def _sb3_model(config: RunConfig, algorithm: type, envs: Any) -> Any:
         **{name: arguments[name] for name in names},
         train_freq=train_freq,
         gradient_steps=gradient_steps,
-        policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
+        policy_kwargs={"net_arch": list(config.algorithm.net_arch or ())},
         buffer_size=config.buffer.buffer_size,
         replay_buffer_class=HerReplayBuffer,
         replay_buffer_kwargs=config.buffer.arguments,

@@ -88,7 +88,7 @@ def _sbx_model(config: RunConfig, ours: Any, gradient_steps: int) -> Any:
         gamma=ours.gamma,
         buffer_size=config.n_envs,
         gradient_steps=gradient_steps,
-        policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
+        policy_kwargs={"net_arch": list(config.algorithm.net_arch or ())},
         seed=0,
     )
     model.set_logger(Logger(None, []))
