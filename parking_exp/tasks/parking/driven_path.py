@@ -31,7 +31,7 @@ class DrivenBatch:
 
     def __init__(self, batch: EvaluationBatch, config: ParkingConfig) -> None:
         self.batch = batch
-        low, high = config.action.steering_range or (-math.pi / 4, math.pi / 4)
+        _, (low, high) = config.action.ranges
         # At steering d, the car slips at its middle by atan(tan(d) / 2).
         self._radius_m = CAR_LENGTH_M / math.tan(max(-low, high))
         self._step_s = 1 / config.policy_frequency

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from parking_exp.tasks.parking.driven_path import REAR_AXLE_M
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
-from parking_exp.tasks.parking.planning.free_space import REAR_M
 
 SETTLING_M = 1.0  # the way on which errors across the path and of the heading settle
 GAIN = 0.5  # share of an error along the path that is corrected in a step
@@ -29,7 +29,7 @@ def controls(
     speed = vx * cos + vy * sin
     # A frame moves the car in the direction at its beginning, so not the rear axle moves along the
     # heading, but a point before or behind it.
-    rear = REAR_M - speed * dt / 2
+    rear = REAR_AXLE_M - speed * dt / 2
     behind_x = ref_x - (x - rear * cos)
     behind_y = ref_y - (y - rear * sin)
     ref_cos = np.cos(ref_heading)
@@ -43,7 +43,7 @@ def controls(
     steering = np.arctan(CAR_LENGTH_M * curvature)
 
     # The simulator's speed is that of the centre, which is farther from the centre of the turn.
-    longer = np.hypot(1.0, REAR_M * curvature)
+    longer = np.hypot(1.0, REAR_AXLE_M * curvature)
     step_s = dt * frames
     target = next_speed * longer + GAIN * along / step_s
     acceleration = (target - speed) / step_s

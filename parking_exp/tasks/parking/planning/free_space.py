@@ -2,13 +2,11 @@
 
 import numpy as np
 
+from parking_exp.tasks.parking.driven_path import REAR_AXLE_M
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, corners
 from parking_exp.tasks.parking.scene_shapes import Rectangle, scene_shapes
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator.collisions import separating_axis
-
-REAR_M = CAR_LENGTH_M / 2
-"""Distance from the rear axle of highway-env's car to its centre."""
 
 
 class FreeSpace:
@@ -40,7 +38,7 @@ class FreeSpace:
         """Return whether a car fits at all poses of its rear axle, shape (n, 3) [m, m, rad]."""
         heading = poses[:, 2]
         direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        centres = poses[:, :2] + REAR_M * direction
+        centres = poses[:, :2] + REAR_AXLE_M * direction
         cars = corners(centres, direction, self._length, self._width)
         if self._walls and (np.abs(cars) > self.half_box).any():
             return False

@@ -8,12 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from parking_exp.tasks.parking.driven_path import REAR_AXLE_M
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.planning.controller import controls
-from parking_exp.tasks.parking.planning.free_space import REAR_M, FreeSpace
+from parking_exp.tasks.parking.planning.free_space import FreeSpace
 from parking_exp.tasks.parking.planning.trajectory import trajectory
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation
@@ -145,7 +146,7 @@ class Planner(ScriptedPolicy):
 def _rear_pose(pose: np.ndarray) -> np.ndarray:
     """Return the pose of the rear axle of a car, shape (3,)."""
     x, y, heading = pose
-    return np.array([x - REAR_M * np.cos(heading), y - REAR_M * np.sin(heading), heading])
+    return np.array([x - REAR_AXLE_M * np.cos(heading), y - REAR_AXLE_M * np.sin(heading), heading])
 
 
 def _steering_limit(config: ParkingConfig) -> float:
