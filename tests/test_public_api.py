@@ -36,6 +36,7 @@ PUBLIC_PATHS = (
     "parking_exp.tasks.parking.reward.ParkingReward",
     "parking_exp.tasks.parking.nearby_vehicles.NearbyVehicles",
     "parking_exp.tasks.parking.nearby_vehicles.RandomVehiclesCount",
+    "parking_exp.tasks.parking.planning.Planner",
     "parking_exp.tasks.parking.rays.Rays",
     "parking_exp.tasks.parking.obstacles",
     "parking_exp.tasks.parking.obstacles.RandomObstacles",
@@ -113,7 +114,7 @@ def test_every_package_that_is_imported_is_declared():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = [
         project["optional-dependencies"][extra]
-        for extra in ("contrib", "export", "bench", "slurm", "ray")
+        for extra in ("contrib", "export", "bench", "planning", "slurm", "ray")
     ]
     declared = [
         re.match(r"[\w-]+", line)[0] for line in itertools.chain(project["dependencies"], *extras)

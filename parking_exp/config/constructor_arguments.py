@@ -82,7 +82,7 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
         if problems or not isinstance(section, AlgorithmConfig):
             continue
         if not run.is_trained:
-            yield from import_object(section.target).problems(run.env, section.arguments)
+            yield from import_object(section.target).problems(run.env)
             continue
         # All features suit the policies of the known algorithms.
         if section.target not in KNOWN_ARGUMENTS or section.arguments.get("policy_kwargs"):
@@ -185,7 +185,7 @@ def _check_target(
     given = {}
     if isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
-    if given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
+    if base != UNTRAINED and given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
         yield from _check_parameters(key, target.rpartition(".")[2], {}, given, is_open=True)
         return
     assignment = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"

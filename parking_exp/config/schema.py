@@ -190,7 +190,7 @@ class RunConfig(OutputConfig):
 
     experiment_name: Name
     seed: Annotated[int, Field(ge=0, lt=2**32)]
-    total_timesteps: NonNegativeInt  # 0: nothing is trained
+    total_timesteps: Annotated[int, Field(ge=0, le=10**12)]  # 0: nothing is trained
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)]
     # 0.001: one update in 1,000 steps of each env.
     updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]

@@ -25,8 +25,8 @@ class ScriptedPolicy(ABC):
         self.seed = seed
 
     @classmethod
-    def problems(cls, env: Any, arguments: Mapping[str, Any]) -> Iterator[str]:
-        """Yield why it can't act in the env of a config with some arguments, a sentence each."""
+    def problems(cls, env: Any) -> Iterator[str]:
+        """Yield a sentence for each reason why it can't act in the env of a config."""
         yield from ()
 
     @abstractmethod

@@ -157,6 +157,7 @@ EPISODES = pd.DataFrame(
         "path_m": [8.0, 12.0, 20.0, 0.0],
         "path_efficiency": [0.5, 0.75, math.nan, math.nan],
         "gear_changes": [1, 0, 0, 3],
+        "plan_s": [math.nan, 0.25, math.nan, 0.75],
     }
 )
 
@@ -166,6 +167,7 @@ def test_a_table_is_summarised_as_rates_with_intervals_and_means():
         "success_rate": 0.5, "crash_rate": 0.25, "timeout_rate": 0.25, "parked_rate": 0.25, "return_mean": -27.75,
         "steps_mean": 140.0, "distance_m_mean": 4.125, "heading_error_rad_mean": 0.4, "speed_mps_mean": 1.5,
         "park_s_mean": 3.0, "path_m_mean": 10.0, "path_efficiency_mean": 0.625, "gear_changes_mean": 1.0,
+        "plan_s_mean": 0.5,
     }  # fmt: skip
     lines = describe(EPISODES, METRICS)
     assert lines[0] == "success   50.0%   95 % interval 15.0% to 85.0%   2 of 4"

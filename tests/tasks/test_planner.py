@@ -137,33 +137,38 @@ def test_a_trajectory_stops_where_the_direction_changes_and_at_the_end():
     ("overrides", "message"),
     [
         (
-            ["algorithm.planner=Astar"],
+            ["algorithm=planner", "algorithm.planner=Astar"],
             "algorithm.planner='Astar': input should be 'RRTConnect', 'RRT', 'RRTstar', "
             "'InformedRRTstar', 'BITstar', 'FMT', 'BFMT' or 'KPIECE1'",
         ),
         (
-            ["algorithm.margin_m=-1"],
+            ["algorithm=planner", "algorithm.margin_m=-1"],
             "algorithm.margin_m=-1: input should be greater than or equal to 0",
         ),
         (
-            ["++algorithm.margin=1"],
+            ["algorithm=planner", "++algorithm.margin=1"],
             "algorithm.margin: there is no such key; did you mean 'margin_m'?",
         ),
         (
-            ["env.action.steering_range=[0.1,0.5]"],
+            ["algorithm=sac", "algorithm.net_arch=null"],
+            "algorithm._target_=parking_exp.algorithms.SAC is not a subclass of "
+            "parking_exp.tasks.scripted_policy.ScriptedPolicy",
+        ),
+        (
+            ["algorithm=planner", "env.action.steering_range=[0.1,0.5]"],
             "algorithm=planner: env.action.steering_range has to allow steering to both sides",
         ),
     ],
 )
 def test_mistakes_are_refused_with_a_sentence(overrides, message):
     with pytest.raises(ConfigError) as error:
-        make_config("algorithm=planner", *overrides)
+        make_config(*overrides)
     assert str(error.value) == message
 
 
 def test_another_task_is_refused_with_a_sentence():
     env = make_config("env=fetch_reach").env
-    assert list(Planner.problems(env, {})) == [
+    assert list(Planner.problems(env)) == [
         "algorithm=planner drives in parking tasks only; env=fetch_reach is another task"
     ]
 

@@ -21,7 +21,7 @@ from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record_video
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
-from parking_exp.training import checkpoints, finish, loop, rollout_state
+from parking_exp.training import checkpoints, rollout_state, run_session
 from parking_exp.training.loop import RolloutCallback, TrainingLoop
 
 SMOKE = ("experiment=smoke", "total_timesteps=160", "evaluation.every_n_steps=60", "checkpoint.every_n_steps=50",
@@ -143,7 +143,7 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
 
 def cut_in_the_third_evaluation():
     calls = iter(range(100))
-    return cut(loop, "evaluate", lambda *_: next(calls) == 2)
+    return cut(run_session, "evaluate", lambda *_: next(calls) == 2)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def cut_in_the_third_evaluation():
                 lambda path: path.name == "state.pt" and "100" in path.parent.name,
             )
         ],
-        [lambda: cut(finish, "save_model", lambda *_: True)] * 2,
+        [lambda: cut(TrainingLoop, "save_final", lambda *_: True)] * 2,
     ],
     ids=["in an evaluation", "in a checkpoint", "between its end and its result, twice"],
 )

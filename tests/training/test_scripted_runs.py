@@ -9,7 +9,8 @@ from support.runs import call_script, make_config, only_run, script, store
 from support.sweep_processes import wait_until
 
 from parking_exp import load_model
-from parking_exp.errors import ModelError
+from parking_exp.errors import ConfigError, ModelError
+from parking_exp.statistics import wilson_interval
 
 PLANNER = (
     "env=parking_parallel",
@@ -85,6 +86,18 @@ def test_a_finished_run_is_evaluated_with_a_replay_of_the_same_episodes(planned)
     pd.testing.assert_frame_equal(evaluated, final.drop(columns=["phase", "step"]))
 
 
+def test_a_report_has_the_interval_of_the_episodes_and_says_what_the_planner_knows(planned):
+    output_dir, _ = planned
+    done = call_script("report", f"output_dir={output_dir}", "report=quick")
+    assert done.returncode == 0, done.stderr
+    folder = output_dir / "reports" / "parking"
+    (cell,) = json.loads((folder / "report.json").read_text())["cells"]
+    low, high = wilson_interval(6, 6)
+    assert cell["success"] == {"value": 1.0, "low": low, "high": high, "n": 1}
+    assert cell["total_timesteps"] == 0
+    assert "knows the map of each scene" in (folder / "index.html").read_text()
+
+
 def test_the_planner_has_no_model_to_load(planned):
     with pytest.raises(ModelError) as error:
         load_model("latest", planned[0])
@@ -94,3 +107,7 @@ def test_the_planner_has_no_model_to_load(planned):
 def test_keys_of_training_change_no_env_steps_of_what_is_not_trained():
     assert make_config("algorithm=planner", "total_timesteps=5000").total_timesteps == 0
     assert make_config("algorithm=sac").total_timesteps == 256_000
+    with pytest.raises(ConfigError, match=r"^total_timesteps=0: algorithm=sac is trained; give at"):
+        make_config("algorithm=sac", "buffer=replay", "total_timesteps=0")
+    with pytest.raises(ConfigError, match=r"^init=latest: algorithm=planner is not trained; leave"):
+        make_config("algorithm=planner", "init=latest")

@@ -1,7 +1,7 @@
 """The agent that plans."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, Literal
@@ -70,7 +70,7 @@ class Planner(ScriptedPolicy):
         self._step = 0
 
     @classmethod
-    def problems(cls, env: Any, arguments: Mapping[str, Any]) -> Iterator[str]:
+    def problems(cls, env: Any) -> Iterator[str]:
         """Yield why it can't plan: without OMPL, or in another task."""
         if find_spec("ompl") is None:
             yield "algorithm=planner: ompl is not installed; pip install 'parking-exp[planning]'"
