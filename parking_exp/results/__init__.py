@@ -27,6 +27,7 @@
     speed_mps               float64   of parking: mean absolute value at their end
     path_m, gear_changes    float64   of parking: mean over the same episodes
     park_s, path_efficiency float64   of parking: mean over the successful ones; NaN without any
+    plan_s                  float64   of parking: mean planning time; NaN where nothing is planned
     cpu_s, wall_s           float64   what it took so far
     started, ended          datetime64[ms, UTC]; a running one has not ended
     run_dir, artifact_uri   str       where its files are
@@ -57,7 +58,7 @@
     steps, return           int64, float64: length; sum of rewards
     distance_m, heading_error_rad, speed_mps
                             float64   absolute values at its end, of parking
-    park_s, path_m, path_efficiency
+    park_s, path_m, path_efficiency, plan_s
                             float64   of parking; NaN where an episode has none
     gear_changes            int64     of parking
 
