@@ -10,6 +10,7 @@ import textwrap
 from argparse import ArgumentParser
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from numbers import Integral
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,6 +28,7 @@ from parking_exp.reports.cell_comparisons import seed_rates
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import CellSummary, Pair, ReportData
 from parking_exp.results import Results, read_export
+from parking_exp.statistics import steps_to
 from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
@@ -39,6 +41,7 @@ PROVENANCE = DOCS / "provenance.md"
 FIGURES = {
     "algorithms": "learning_curves",
     "goal_tasks": "learning_curves",
+    "time_to_95": "learning_curves",
     "tutorial": "learning_curves",
 }
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
@@ -133,6 +136,36 @@ class Experiment:
     def ranks(self, first: str, second: str) -> str:
         """Return p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
         return formats.p_value(self._pair(first, second).rank_p)
+
+    def times_cheaper(self, first: str, second: str) -> str:
+        """Return how many times less CPU time the first of two cells needs until success stays at
+        95 %, with a 95 % interval, e.g. `250 [210, 300]`.
+
+        See `ratio_of_times`. Success stays where it does in three evaluations in a row.
+        """
+        ratio = ratio_of_times(self._cpu_s_to_95(second), self._cpu_s_to_95(first))
+        value, low, high = (f"{number:.0f}" for number in ratio)
+        return f"{value} [{low}, {high.replace('inf', '∞')}]"
+
+    def cpu_s_to_95(self, label: str) -> str:
+        """Return the median CPU seconds until success of a cell's seeds stays at 95 %."""
+        median = float(np.median(self._cpu_s_to_95(label)))
+        return formats.number(median)
+
+    def reaching_95(self, label: str) -> str:
+        """Return in how many seeds of a cell success stays at 95 %, e.g. `9/10`."""
+        times = self._cpu_s_to_95(label)
+        return f"{np.isfinite(times).sum()}/{len(times)}"
+
+    def _cpu_s_to_95(self, label: str) -> np.ndarray:
+        """Return the CPU seconds of each seed until success stays at 95 %, inf if it never does."""
+        curves = dict(iter(self.results.curves.groupby("run_id")))
+        times = []
+        for seed in self.cell(label).seeds:
+            curve = curves[seed.run_id]
+            cpu_s, reached = steps_to(curve["cpu_s"], curve["success_rate"], 0.95)
+            times.append(cpu_s if reached else np.inf)
+        return np.array(times)
 
     def _pair(self, first: str, second: str) -> Pair:
         ids = {self.cell(first).id, self.cell(second).id}
@@ -256,6 +289,27 @@ def main(arguments: list[str]) -> int:
     names = ", ".join(str(path.relative_to(ROOT)) for path in texts)
     say(f"written        {names}, docs/images/results_*.png")
     return 0
+
+
+def ratio_of_times(times: np.ndarray, others: np.ndarray) -> tuple[float, float, float]:
+    """Return the ratio of two samples of times, and the ends of its 95 % interval.
+
+    It is the median of the ratios of all pairs. The interval inverts the exact test of Mann and
+    Whitney, so that both may have any distribution (Hodges and Lehmann 1963). Shape (seeds,) each.
+    Times of the first may be inf, where only a lower limit is known.
+
+    Raises:
+        ValueError: there are too few times for an interval of 95 %.
+    """
+    n = len(times)
+    ranks = combinations(range(n + len(others)), n)
+    statistics = np.sort([sum(chosen) for chosen in ranks]) - n * (n - 1) // 2
+    # The number of pairs outside of the interval on each side.
+    outside = int(statistics[int(0.025 * len(statistics))])
+    if outside == 0:
+        raise ValueError(f"{n} and {len(others)} times are too few")
+    ratios = np.sort(np.divide.outer(times, others).ravel())
+    return float(np.median(ratios)), float(ratios[outside - 1]), float(ratios[-outside])
 
 
 def _experiment(folder: Path) -> Experiment:

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from parking_exp.config.cell_labels import LABEL, parse_value, setting_text
@@ -156,11 +155,11 @@ def _read_runs(path: Path) -> pd.DataFrame:
     for name in settings:
         texts = runs[name].astype(object).where(runs[name].notna(), None)
         runs[name] = config_column(texts, name.removeprefix("config."))
-    runs = runs.assign(run_dir=None, artifact_uri=None)
+    # The copy is in one piece, after so many columns were replaced.
+    runs = runs.copy().assign(run_dir=None, artifact_uri=None)
     # Exports have no metrics that only other tasks have.
-    for name in FINAL.values():
-        if name not in runs:
-            runs[name] = np.nan
+    missing = [name for name in FINAL.values() if name not in runs]
+    runs = runs.reindex(columns=[*runs.columns, *missing])
     columns = RUN_TYPES | dict.fromkeys(added_metrics(runs.columns), "float64")
     return runs[[*columns, *versions, *settings]].astype(columns)
 

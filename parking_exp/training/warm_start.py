@@ -25,7 +25,14 @@ from parking_exp.training import checkpoints
 # Networks that differ in these may have layers of the same shapes.
 OF_NETWORKS = ("_target_", "features", "normalize", "net_arch", "policy_kwargs")
 NETWORK_KEYS = tuple(f"algorithm.{name}" for name in OF_NETWORKS)
-BUFFER_KEYS = ("n_envs", "buffer._target_", "buffer.buffer_size")
+# The rewards of stored transitions are those of their run; `env.reward` has `reward_weights`, too.
+BUFFER_KEYS = (
+    "n_envs",
+    "buffer._target_",
+    "buffer.buffer_size",
+    "env.reward",
+    "env.collision_reward",
+)
 
 
 def check_sources(configs: Iterable[RunConfig]) -> None:

@@ -6,6 +6,7 @@ from shapely.geometry import Polygon, box
 from support.runs import make_config
 
 from parking_exp.errors import ConfigError
+from parking_exp.tasks.parking import goal_starts
 from parking_exp.tasks.parking.contacts import touches
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, OBSTACLE_M, corners
 from parking_exp.tasks.parking.goal_starts import N_DRAWS, GoalStarts, drive
@@ -96,6 +97,28 @@ def test_half_of_the_scenes_start_on_a_free_way_out_of_the_goal(overrides):
 
     distance = np.hypot(*(scenes.start - scenes.goal_pose)[moved, :2].T)
     assert distance.max() > 5  # some have left the slot
+
+
+@pytest.mark.parametrize("lot", ["parking_angled", "parking_parallel"])
+def test_nothing_is_touched_between_the_points_of_an_arc(lot, monkeypatch):
+    """Each arc that is driven is looked at again at 801 points."""
+    env = make_config(f"env={lot}", "env.level=normal", "env.starts=goal").env
+    arcs = []
+
+    def recorded(pose, slip, driven):
+        path = drive(pose, slip, driven)
+        arcs.append((pose, slip, driven, path))
+        return path
+
+    monkeypatch.setattr(goal_starts, "drive", recorded)
+    scenes = GoalStarts(env).from_seeds(range(100))
+    rows = np.arange(100)
+    starts = [pose[:, 0] for pose, _, _, _ in arcs] + [scenes.start]
+    for (pose, slip, driven, path), end in zip(arcs, starts[1:], strict=True):
+        last = (path == end[:, None]).all(axis=2).argmax(axis=1)
+        length = driven[rows, last]
+        fine = drive(pose, slip, length[:, None] * np.linspace(0, 1, 801))
+        assert not touches(scenes, fine, walls=True).any()
 
 
 def test_the_first_arc_is_the_one_that_is_drawn():

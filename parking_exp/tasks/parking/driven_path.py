@@ -117,6 +117,8 @@ def reeds_shepp_m(start: list[float], end: list[float], radius_m: float) -> floa
 
 @cache
 def _reeds_shepp_space(radius_m: float) -> Any:
+    if radius_m <= 0:  # wheels that turn by more than 90 degrees
+        return None
     try:
         from ompl import base
     except ImportError:

@@ -15,7 +15,8 @@ from parking_exp.tasks.parking.simulator.dynamics import slip_angle
 SHARES = {"goal": 1.0, "mixed": 0.5}  # of the scenes that start so, by `env.starts`
 MOST_ARCS = 20
 MOST_ARC_M = 8.0
-N_POINTS = 12  # of an arc, where contacts are looked for
+N_POINTS = 80  # of an arc, where contacts are looked for: at most 0.1 m apart
+MARGIN_M = 0.05  # kept there, so that nothing is touched between two points
 N_DRAWS = 3 + 2 * MOST_ARCS
 
 
@@ -27,7 +28,7 @@ class GoalStarts:
 
     The car stands in the goal and drives 1 to `MOST_ARCS` arcs, alternately ahead and in reverse.
     It steers as far as it can to one side or the other, or not at all. An arc is up to `MOST_ARC_M`
-    long, and ends before the car touches something.
+    long, and ends before the car comes closer than `MARGIN_M` to something.
 
     A scene takes `N_DRAWS` numbers, uniform in [0, 1). They choose whether it starts so at all, the
     number of arcs and the first direction, then steering and length of each arc. Those of seed s
@@ -72,7 +73,7 @@ class GoalStarts:
             direction = first_direction * (-1.0) ** arc
             driven = (direction * length_m[:, arc])[:, None] * fractions
             path = drive(pose[:, None], self.slips[choice[:, arc], None], driven)
-            ends = touches(scenes, path[:, 1:], walls=self.walls)
+            ends = touches(scenes, path[:, 1:], walls=self.walls, margin_m=MARGIN_M)
             ends[arc >= n_arcs] = True
             # The point before the first contact.
             last = np.where(ends.any(axis=1), ends.argmax(axis=1), N_POINTS)
