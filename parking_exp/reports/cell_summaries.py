@@ -225,10 +225,11 @@ def _summarise_task(
     """Return the fields of a cell that hold what sections and figures of its task show."""
     final = [evaluations.final[seed.run_id] for seed in seeds if seed.run_id in evaluations.final]
     paths = evaluations.paths[evaluations.paths["run_id"].isin(cell.done["run_id"])]
-    for task in task_reports([cell.task]):
-        data = task.rates(final, cell.config)
-        return {"task_data": data, "drawn": task.drawn(paths, cell.config)}
-    return {}
+    task = next(iter(task_reports([cell.task])), None)
+    if task is None:
+        return {}
+    data = task.rates(final, cell.config)
+    return {"task_data": data, "drawn": task.drawn(paths, cell.config)}
 
 
 def _average(

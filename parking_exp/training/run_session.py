@@ -1,4 +1,4 @@
-"""What every run does, trained or not: evaluate a policy, log the results, show the progress."""
+"""Sessions of runs, trained or not: evaluations of a policy, their log, the shown progress."""
 
 import time
 from abc import ABC, abstractmethod

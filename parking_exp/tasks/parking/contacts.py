@@ -1,4 +1,4 @@
-"""Whether a car that stands somewhere touches something."""
+"""Contacts of a standing car with parked cars, obstacles and walls."""
 
 import numpy as np
 

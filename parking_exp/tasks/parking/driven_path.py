@@ -1,4 +1,4 @@
-"""What evaluation episodes drive: length of the path, changes of gear, and the shortest path."""
+"""Driven paths of evaluation episodes: length, changes of gear, and the shortest path instead."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Where a car can be in a scene without touching anything."""
+"""Free space of a scene: the poses in which a car touches nothing."""
 
 import numpy as np
 
