@@ -94,7 +94,7 @@ SECTIONS = (
         "results",
         "Which is better",
         figures=[SectionFigure("final_success", "Final success, every seed", draw_final_success)],
-        tables=[report_tables.headline],
+        tables=[report_tables.headline, report_tables.means],
     ),
     Section(
         "curves",

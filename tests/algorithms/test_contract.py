@@ -13,7 +13,8 @@ from parking_exp.training import checkpoints, rollout_state
 
 SMOKE = ("experiment=smoke", "algorithm.learning_starts=40", "tracking.mlflow=false")
 USER = "algorithm._target_=support.user_algorithms"
-ALGORITHMS = {option: (f"algorithm={option}",) for option in options("algorithm")} | {
+TRAINED = [option for option in options("algorithm") if option != "planner"]
+ALGORITHMS = {option: (f"algorithm={option}",) for option in TRAINED} | {
     "Stable-Baselines3's sac": ("algorithm=sac", "algorithm._target_=stable_baselines3.SAC"),
     "Stable-Baselines3's td3": ("algorithm=td3", "algorithm._target_=stable_baselines3.TD3"),
     "Stable-Baselines3's ddpg": ("algorithm=ddpg", "algorithm._target_=stable_baselines3.DDPG"),

@@ -52,6 +52,7 @@ def test_tables_have_every_number(tmp_path):
     # The 100 scenes have 27 of the 28 slots as their goal.
     assert {name: len(rows) for name, rows in tables.items()} == {
         "headline": 20,
+        "means": 20,
         "seeds": 200,
         "pairs": 19,
         "curves": 400,

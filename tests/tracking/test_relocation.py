@@ -157,7 +157,7 @@ def test_artifacts_of_an_embedded_store_are_neither_sent_elsewhere_nor_read_ther
     directory, late = finished_run(output_dir), finished_run(output_dir, seed=1)
     sync(directory)
     rows(output_dir, "UPDATE runs SET artifact_uri = ?", place)
-    assert len(load("smoke", output_dir=output_dir).problems) == 3  # one of each file
+    assert len(load("smoke", output_dir=output_dir).problems) == 4  # one of each file
     rows(output_dir, "UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", place)
     with pytest.raises(StoreError, match="artifacts outside of") as refusal:
         sync(late)

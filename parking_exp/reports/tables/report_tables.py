@@ -64,16 +64,24 @@ def headline(report: ReportData) -> Iterator[Table]:
         ),
         Column("CPU (s)", "cpu_s", formats.number),
     ]
-    for name in _list_further(report):
-        if not is_rate(name):
-            write = partial(formats.number, digits=2)
-            columns.append(Column(heading(name), name, write, paper=False))
     yield Table(
         "headline",
         _list_cell_rows(report),
         columns,
         f"Final evaluation: means over seeds, {PERCENT}.",
         latex=True,
+    )
+
+
+def means(report: ReportData) -> Iterator[Table]:
+    """Yield the table of the further means of each cell, such as the length of the driven path."""
+    names = [name for name in _list_further(report) if not is_rate(name)]
+    if not names:
+        return
+    write = partial(formats.number, digits=2)
+    columns = [cell_column(), *(Column(heading(name), name, write) for name in names)]
+    yield Table(
+        "means", _list_cell_rows(report), columns, "Final evaluation: other means over seeds."
     )
 
 
