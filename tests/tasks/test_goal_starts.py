@@ -127,7 +127,7 @@ def test_the_first_arc_is_the_one_that_is_drawn():
     usual = lot_of(env).from_seeds([0])
     draws = np.zeros((1, N_DRAWS))
     draws[0, 3:5] = 0.5, 0.25
-    moved = GoalStarts(env).moved(usual, draws)
+    moved = GoalStarts(env).with_starts(usual, draws)
     x, y, heading = usual.goal_pose[0]
     expected = [x - 2 * np.cos(heading), y - 2 * np.sin(heading), heading]
     assert moved.start[0] == pytest.approx(expected)

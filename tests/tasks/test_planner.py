@@ -11,10 +11,8 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_policy import evaluate, find_differences
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.planning import Planner
-from parking_exp.tasks.parking.planning.demonstrations import demonstrate
 from parking_exp.tasks.parking.planning.trajectory import REFERENCE, trajectory
 from parking_exp.tasks.parking.scene_shapes import scene_shapes
-from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
 
 TIGHT = ("env=parking_parallel", "env.level=extreme")
@@ -102,21 +100,6 @@ def test_without_a_path_the_car_stands_until_the_time_is_over():
     assert row["outcome"] == "timeout"
     assert row["steps"] == 11
     assert row["speed_mps"] == pytest.approx(0, abs=1e-9)
-
-
-def test_a_demonstration_has_the_observations_and_actions_of_an_episode():
-    planner = make_planner("env=parking_parallel")
-    first, second = demonstrate(planner, [3, 4])
-    assert first.is_success
-    assert second.is_success
-    assert len(first.observations["observation"]) == len(first.actions) + 1
-    simulator = Simulator(planner.task.config, lot_of(planner.task.config).from_seeds([4]))
-    for step, action in enumerate(second.actions):
-        np.testing.assert_array_equal(
-            simulator.observe()["observation"][0], second.observations["observation"][step]
-        )
-        result = simulator.step(action[None])
-    assert result.is_success.tolist() == [True]
 
 
 def test_a_trajectory_stops_where_the_direction_changes_and_at_the_end():

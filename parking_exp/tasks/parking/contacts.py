@@ -2,15 +2,16 @@
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, OBSTACLE_M
+from parking_exp.tasks.parking.geometry import (
+    CAR_SIZE_M,
+    cars_at,
+    extent,
+    joined,
+    may_overlap,
+    obstacles_at,
+)
 from parking_exp.tasks.parking.nearby_vehicles import FAR_M
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
-
-CAR = (CAR_LENGTH_M, CAR_WIDTH_M)
-OBSTACLE = (OBSTACLE_M, OBSTACLE_M)
-
-Size = tuple[float, float]
-"""Length and width of a rectangle [m]."""
 
 
 def touches(scenes: Scenes, poses: np.ndarray, *, walls: bool, margin_m: float = 0.0) -> np.ndarray:
@@ -25,44 +26,27 @@ def touches(scenes: Scenes, poses: np.ndarray, *, walls: bool, margin_m: float =
     Returns:
         A mask, shape (n, poses).
     """
-    size = (CAR_LENGTH_M + 2 * margin_m, CAR_WIDTH_M + 2 * margin_m)
     vehicles = scenes.vehicle_pose
     vehicles[scenes.vehicles == NO_SLOT, 0] = FAR_M
-    obstacles = np.zeros((*scenes.obstacles.shape[:2], 3))
-    obstacles[..., :2] = scenes.obstacles
+    parked_cars = cars_at(vehicles[..., :2], vehicles[..., 2])
+    others = joined([parked_cars, obstacles_at(scenes.obstacles)])
 
-    touching = np.zeros(poses.shape[:2], bool)
-    for others, other_size in ((vehicles, CAR), (obstacles, OBSTACLE)):
-        overlaps = _overlap(poses[:, :, None], size, others[:, None], other_size)
-        touching |= overlaps.any(axis=2)
+    # The axes are x and y, or length and width; scenes; poses; others.
+    position = np.moveaxis(poses[..., :2], -1, 0)
+    direction = np.array([np.cos(poses[..., 2]), np.sin(poses[..., 2])])
+    centre = np.moveaxis(others.centre, -1, 0)[:, :, None]
+    other_direction = np.array([np.cos(others.heading), np.sin(others.heading)])[:, :, None]
+    half_size = np.array(CAR_SIZE_M).reshape(2, 1, 1, 1) / 2 + margin_m
+    other_half_size = np.moveaxis(others.size, -1, 0)[:, :, None] / 2
+    overlaps = may_overlap(
+        centre - position[..., None],
+        direction[..., None],
+        half_size,
+        other_direction,
+        other_half_size,
+    )
+    touching: np.ndarray = overlaps.any(axis=-1)
     if walls:
-        reach = _half_extent(size, poses[..., 2])
-        for axis in range(2):
-            touching |= np.abs(poses[..., axis]) + reach[axis] > scenes.free[axis][:, None]
+        beyond = np.abs(position) + extent(direction, margin_m) > scenes.free[..., None]
+        touching |= beyond.any(axis=0)
     return touching
-
-
-def _overlap(pose: np.ndarray, size: Size, other: np.ndarray, other_size: Size) -> np.ndarray:
-    """Return where two rectangles overlap, by the separating axis theorem.
-
-    Poses have shapes that broadcast to (..., 3), the result has the shape (...).
-    """
-    offset = pose[..., :2] - other[..., :2]
-    turn = pose[..., 2] - other[..., 2]
-    overlaps = np.ones(turn.shape, bool)
-    for seen_from, own_size, seen_size in ((pose, size, other_size), (other, other_size, size)):
-        heading = seen_from[..., 2]
-        ahead = offset[..., 0] * np.cos(heading) + offset[..., 1] * np.sin(heading)
-        side = offset[..., 1] * np.cos(heading) - offset[..., 0] * np.sin(heading)
-        half = _half_extent(seen_size, turn)
-        overlaps &= np.abs(ahead) < own_size[0] / 2 + half[0]
-        overlaps &= np.abs(side) < own_size[1] / 2 + half[1]
-    return overlaps
-
-
-def _half_extent(size: Size, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return half the extent of a turned rectangle along both axes, each of the shape of `turn`."""
-    length, width = size
-    cos = np.abs(np.cos(turn))
-    sin = np.abs(np.sin(turn))
-    return (length * cos + width * sin) / 2, (length * sin + width * cos) / 2

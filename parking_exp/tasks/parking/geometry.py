@@ -38,6 +38,8 @@ N_WALLS = len(WALL_ALONG)
 OBSTACLE_M = 2.0  # of highway-env's obstacles, which are squares
 OBSTACLE_SIZE_M = (OBSTACLE_M, OBSTACLE_M)
 
+TINY_M = 1e-6  # far above the rounding of positions
+
 # Of the corners of a rectangle, in its length and its width.
 ALONG = np.array([-0.5, -0.5, 0.5, 0.5])
 ACROSS = np.array([-0.5, 0.5, 0.5, -0.5])
@@ -67,14 +69,46 @@ def corners(
     return np.add(rotated, position[..., None, :], order="C")
 
 
-def extent(direction: np.ndarray) -> np.ndarray:
-    """Return how far cars reach from their centres along x and y; direction and result have the
-    shape (2, n).
+def extent(direction: np.ndarray, margin_m: float = 0.0) -> np.ndarray:
+    """Return how far cars with a margin around them reach from their centres along x and y;
+    direction and result have the shape (2, ...).
     """
     share = np.abs(direction)
-    reach: np.ndarray = share * (CAR_LENGTH_M / 2)
-    reach += share[::-1] * (CAR_WIDTH_M / 2)
+    reach: np.ndarray = share * (CAR_LENGTH_M / 2 + margin_m)
+    reach += share[::-1] * (CAR_WIDTH_M / 2 + margin_m)
     return reach
+
+
+def may_overlap(
+    offset: np.ndarray,
+    direction: np.ndarray,
+    half_size: np.ndarray,
+    other_direction: np.ndarray,
+    other_half_size: np.ndarray,
+) -> np.ndarray:
+    """Return a mask of pairs of rectangles that are less than `TINY_M` apart along each side.
+
+    All arguments have a shape that broadcasts to (2, ...), where the mask has the shape (...).
+
+    Args:
+        offset: from the first centre to the second [m].
+        direction, other_direction: cosine and sine of their headings.
+        half_size, other_half_size: half their lengths and widths [m].
+    """
+    turn = np.abs(_in_frame(other_direction, direction))
+    apart = np.abs(_in_frame(offset, direction)) - half_size
+    apart -= turn * other_half_size[0] + turn[::-1] * other_half_size[1]
+    other_apart = np.abs(_in_frame(offset, other_direction)) - other_half_size
+    other_apart -= turn * half_size[0] + turn[::-1] * half_size[1]
+    mask: np.ndarray = np.maximum(apart, other_apart).max(axis=0) < TINY_M
+    return mask
+
+
+def _in_frame(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return vectors along and across some directions, all of shape (2, ...)."""
+    x, y = vector
+    cos, sin = direction
+    return np.array([x * cos + y * sin, y * cos - x * sin])
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,8 @@ class GoalStarts:
         self.lot: Lot = lot_of(config)
         self.share = SHARES[config.starts]
         self.walls = config.add_walls
-        low, high = config.action.steering_range or (-np.pi / 4, np.pi / 4)
-        self.slips = slip_angle(np.array([low, (low + high) / 2, high]))
+        _, (low, high) = config.action.ranges
+        self.slips = slip_angle(np.array([low, np.clip(0.0, low, high), high]))
 
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:
         """Return the scenes of some seeds."""
@@ -51,16 +51,16 @@ class GoalStarts:
         for row, seed in enumerate(seeds):
             bit_generator = np.random.PCG64(np.random.SeedSequence(int(seed)))
             draws[row] = np.random.Generator(bit_generator.jumped(3)).random(N_DRAWS)
-        return self.moved(self.lot.from_seeds(seeds), draws)
+        return self.with_starts(self.lot.from_seeds(seeds), draws)
 
     def random(self, rng: np.random.Generator, n: int) -> Scenes:
         """Draw scenes of the same distribution, many at once."""
         scenes = self.lot.random(rng, n)
-        return self.moved(scenes, rng.random((n, N_DRAWS)))
+        return self.with_starts(scenes, rng.random((n, N_DRAWS)))
 
-    def moved(self, scenes: Scenes, draws: np.ndarray) -> Scenes:
+    def with_starts(self, scenes: Scenes, draws: np.ndarray) -> Scenes:
         """Return scenes with other starts, from numbers in [0, 1), shape (n, N_DRAWS)."""
-        moved = draws[:, 0] < self.share
+        is_moved = draws[:, 0] < self.share
         n_arcs = 1 + (draws[:, 1] * MOST_ARCS).astype(np.int64)
         first_direction = np.where(draws[:, 2] < 0.5, -1.0, 1.0)
         choice = (draws[:, 3::2] * len(self.slips)).astype(np.int64)
@@ -78,7 +78,7 @@ class GoalStarts:
             # The point before the first contact.
             last = np.where(ends.any(axis=1), ends.argmax(axis=1), N_POINTS)
             pose = path[rows, last]
-        return replace(scenes, start=np.where(moved[:, None], pose, scenes.start))
+        return replace(scenes, start=np.where(is_moved[:, None], pose, scenes.start))
 
 
 def drive(pose: np.ndarray, slip: np.ndarray, length_m: np.ndarray) -> np.ndarray:

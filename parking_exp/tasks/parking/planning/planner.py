@@ -129,7 +129,7 @@ class Planner(ScriptedPolicy):
 
         config = self.task.config
         scenes = lot_of(config).from_seeds([seed])
-        space = FreeSpace(scenes, 0, walls=config.add_walls, margin_m=self._margin_m)
+        space = FreeSpace(scenes, walls=config.add_walls, margin_m=self._margin_m)
         # The numbers of a scene do not depend on the scenes before it.
         (path_seed,) = np.random.SeedSequence([self.seed, seed]).generate_state(1).tolist()
         return plan_path(

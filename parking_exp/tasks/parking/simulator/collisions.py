@@ -20,6 +20,7 @@ from parking_exp.tasks.parking.geometry import (
     CAR_LENGTH_M,
     CAR_WIDTH_M,
     N_WALLS,
+    TINY_M,
     WALL_ALONG,
     WALL_SIDES,
     corners,
@@ -32,7 +33,6 @@ from parking_exp.tasks.parking.simulator.scene_state import SceneState
 
 NEXT_CORNER = np.array([1, 2, 3, 0])
 WALL_ACROSS = 1 - WALL_ALONG
-TINY_M = 1e-6  # far above the rounding of positions
 
 
 def length_of(vector: np.ndarray) -> np.ndarray:
@@ -81,38 +81,6 @@ def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.
     away = np.where(np.vecdot(centres[:, 0] - centres[:, 1], normal) > 0, 1.0, -1.0)
     translation = (overlap[pairs, axis] * away)[:, None] * normal
     return ~apart.any(axis=1), ~will_be_apart.any(axis=1), translation
-
-
-def may_overlap(
-    offset: np.ndarray,
-    direction: np.ndarray,
-    half_size: np.ndarray,
-    other_direction: np.ndarray,
-    other_half_size: np.ndarray,
-) -> np.ndarray:
-    """Return a mask of n pairs of rectangles that are less than `TINY_M` apart along each side.
-
-    All arguments have a shape that broadcasts to (2, n).
-
-    Args:
-        offset: from the first centre to the second [m].
-        direction, other_direction: cosine and sine of their headings.
-        half_size, other_half_size: half their lengths and widths [m].
-    """
-    turn = np.abs(_in_frame(other_direction, direction))
-    apart = np.abs(_in_frame(offset, direction)) - half_size
-    apart -= turn * other_half_size[0] + turn[::-1] * other_half_size[1]
-    other_apart = np.abs(_in_frame(offset, other_direction)) - other_half_size
-    other_apart -= turn * half_size[0] + turn[::-1] * half_size[1]
-    mask: np.ndarray = np.maximum(apart, other_apart).max(axis=0) < TINY_M
-    return mask
-
-
-def _in_frame(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return vectors along and across some directions, all of shape (2, n)."""
-    x, y = vector
-    cos, sin = direction
-    return np.array([x * cos + y * sin, y * cos - x * sin])
 
 
 @dataclass(frozen=True)

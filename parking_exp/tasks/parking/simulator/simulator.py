@@ -18,6 +18,7 @@ from parking_exp.tasks.parking.geometry import (
     cars_at,
     extent,
     joined,
+    may_overlap,
     obstacles_at,
     walls_around,
 )
@@ -28,7 +29,7 @@ from parking_exp.tasks.parking.pose import Pose, relative_pose
 from parking_exp.tasks.parking.rays import ray_distances
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import MOST_SCENES, Scenes
-from parking_exp.tasks.parking.simulator.collisions import Collisions, Fixtures, may_overlap
+from parking_exp.tasks.parking.simulator.collisions import Collisions, Fixtures
 from parking_exp.tasks.parking.simulator.dynamics import (
     Range,
     advance,
