@@ -45,8 +45,8 @@ def touches(scenes: Scenes, poses: np.ndarray, *, walls: bool, margin_m: float =
         other_direction,
         other_half_size,
     )
-    touching: np.ndarray = overlaps.any(axis=-1)
+    touching = np.asarray(overlaps.any(axis=-1))
     if walls:
         beyond = np.abs(position) + extent(direction, margin_m) > scenes.free[..., None]
-        touching |= beyond.any(axis=0)
+        touching |= np.logical_or(*beyond)
     return touching
