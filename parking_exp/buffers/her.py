@@ -22,6 +22,8 @@ from parking_exp.config_model import (
 from parking_exp.tasks.task import GoalReward, Observation
 
 NO_GOALS = np.empty(0, np.int64)
+DEMONSTRATED = "demonstrations/"
+"""Prefix of the entries of a state that are of demonstrations."""
 
 
 class HerBuffer(DictReplayBuffer):
@@ -50,7 +52,15 @@ class HerBuffer(DictReplayBuffer):
             relabelled. Otherwise the agent learns that standing still counts as success.
         goal_velocity: of virtual goals: `achieved`, or `zero` as of real goals.
         reward: of the env.
+
+    Attributes:
+        demonstrations: a buffer of the same class, of one env, from which `demonstration_share` of
+            each batch is drawn; None without demonstrations.
+        demonstration_share: between 0 and 1.
     """
+
+    demonstrations: "HerBuffer | None" = None
+    demonstration_share = 0.0
 
     def __init__(
         self,
@@ -135,10 +145,21 @@ class HerBuffer(DictReplayBuffer):
     def sample(self, batch_size: int, env: None = None) -> DictReplayBufferSamples:  # type: ignore[override]
         """Draw a minibatch: real transitions first, then those with virtual goals.
 
+        Those of demonstrations follow, in the same order.
+
         Raises:
             RuntimeError: no episode has ended yet.
         """
         assert env is None, "HerBuffer does not support VecNormalize"
+        if self.demonstrations is None:
+            return self._sample(batch_size)
+        n_demonstrated = round(self.demonstration_share * batch_size)
+        own = self._sample(batch_size - n_demonstrated)
+        demonstrated = self.demonstrations._sample(n_demonstrated)
+        return _joined(own, demonstrated)
+
+    def _sample(self, batch_size: int) -> DictReplayBufferSamples:
+        """Draw a minibatch of the episodes of the envs."""
         if self.goal_selection_strategy is None:
             index = self.episodes.draw_stored(self.rng, batch_size)
         else:
@@ -170,11 +191,15 @@ class HerBuffer(DictReplayBuffer):
     def get_state(self) -> dict[str, np.ndarray]:
         """Return the whole state as arrays, uncopied."""
         rng = json.dumps(self.rng.bit_generator.state).encode()
-        return {
+        state = {
             "sampled": np.array(self.sampled),
             "rng": np.frombuffer(rng, np.uint8),
             **self.storage.get_state(),
         }
+        if self.demonstrations is not None:
+            for name, array in self.demonstrations.storage.get_state().items():
+                state[f"{DEMONSTRATED}{name}"] = array
+        return state
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Restore a state of a buffer with the same arguments; what follows is identical."""
@@ -182,6 +207,13 @@ class HerBuffer(DictReplayBuffer):
         self.rng.bit_generator.state = json.loads(state["rng"].tobytes())
         self.storage.set_state(state)
         self._update_position()
+        if self.demonstrations is not None:
+            demonstrated = {
+                name.removeprefix(DEMONSTRATED): state[name]
+                for name in state
+                if name.startswith(DEMONSTRATED)
+            }
+            self.demonstrations.set_transitions(demonstrated)
 
     def set_transitions(self, state: Mapping[str, np.ndarray]) -> None:
         """Take over the transitions of a state, whose episodes under way end there.
@@ -254,3 +286,22 @@ class HerBuffer(DictReplayBuffer):
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(np.ascontiguousarray(array), device=self.device)
+
+
+def _joined(
+    first: DictReplayBufferSamples, second: DictReplayBufferSamples
+) -> DictReplayBufferSamples:
+    """Return two minibatches as one."""
+    keys = first.observations
+    return DictReplayBufferSamples(
+        observations={
+            key: torch.cat([first.observations[key], second.observations[key]]) for key in keys
+        },
+        actions=torch.cat([first.actions, second.actions]),
+        next_observations={
+            key: torch.cat([first.next_observations[key], second.next_observations[key]])
+            for key in keys
+        },
+        dones=torch.cat([first.dones, second.dones]),
+        rewards=torch.cat([first.rewards, second.rewards]),
+    )

@@ -24,6 +24,7 @@ BASES = {
     # observations of goal tasks are dictionaries
     "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",
 }
+HER_BUFFER = "parking_exp.buffers.HerBuffer"
 UNTRAINED = "parking_exp.tasks.scripted_policy.ScriptedPolicy"
 CALLBACK = "stable_baselines3.common.callbacks.BaseCallback"
 TRACKER = "parking_exp.training.trackers.Tracker"
@@ -87,10 +88,23 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
         # All features suit the policies of the known algorithms.
         if section.target not in KNOWN_ARGUMENTS or section.arguments.get("policy_kwargs"):
             yield from _check_policy(section, import_object(section.target))
+    if run.is_trained and run.buffer.demonstrations:
+        yield from _check_demonstrations(run)
     for number, callback in enumerate(run.callbacks or ()):
         yield from _check_target(f"callbacks.{number}", callback, CALLBACK)
     for number, tracker in enumerate(run.tracking.trackers or ()):
         yield from _check_target(f"tracking.trackers.{number}", tracker, TRACKER)
+
+
+def _check_demonstrations(run: RunConfig) -> Iterator[str]:
+    """Check the buffer and the policy of demonstrations."""
+    buffer = run.buffer
+    problems = list(_check_target("buffer.demonstrator", buffer.demonstrator, UNTRAINED))
+    yield from problems
+    if not problems:
+        yield from import_object(buffer.demonstrator).problems(run.env)
+    if not issubclass(import_object(buffer.target), import_object(HER_BUFFER)):
+        yield f"buffer.demonstrations={buffer.demonstrations} needs {HER_BUFFER}, or a subclass"
 
 
 def policy_class(algorithm: type) -> type | None:

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
+from operator import not_
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -39,9 +40,11 @@ from parking_exp.config_model import (
     EpisodeSeed,
     Name,
     NumberOfEpisodes,
+    Share,
 )
 from parking_exp.tasks.registry import EnvConfig
 
+PLANNER = "parking_exp.tasks.parking.planning.planner.Planner"
 STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
 
 
@@ -118,6 +121,10 @@ class BufferConfig(ThirdParty):
     """The `buffer` group."""
 
     buffer_size: Annotated[int, Field(ge=1, le=100_000_000)]  # 11 GB
+    # Left out of stored configs where there are none.
+    demonstrations: Annotated[int, Field(ge=0, le=10_000, exclude_if=not_)] = 0
+    demonstration_share: Annotated[Share, Field(lt=1, exclude_if=(0.25).__eq__)] = 0.25
+    demonstrator: Annotated[str, Field(exclude_if=PLANNER.__eq__)] = PLANNER
 
 
 FINAL_EVALUATION = {"final_n_scenes", "n_certified_scenes", "video_episodes"}

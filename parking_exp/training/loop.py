@@ -24,7 +24,7 @@ from parking_exp.runs.metric_logs import (
 )
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.training_envs import make_training_envs
-from parking_exp.training import checkpoints, rollout_state, warm_start
+from parking_exp.training import checkpoints, demonstrations, rollout_state, warm_start
 from parking_exp.training.checkpoints import SavedProgress, save_model
 from parking_exp.training.run_session import RunSession
 from parking_exp.training.seeds import derive_seeds
@@ -69,6 +69,7 @@ class TrainingLoop(RunSession):
         )
         resources.callback(self.env.close)
         self.model = build_model(config, self.task, self.env, seeds.policy)
+        demonstrations.make_room(config, self.model)
         self.model.set_logger(self.logger)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
@@ -81,11 +82,27 @@ class TrainingLoop(RunSession):
             self._best.unlink(missing_ok=True)
             if config.init is not None:
                 directory.update(init_sha256=warm_start.start(config, self.model))
+            self._add_demonstrations()
         else:
             self._rollout_state = checkpoints.restore(
                 checkpoint, self.model, self.average, self._best
             )
             self.bar.say(f"resuming at step {progress.step}")
+
+    def _add_demonstrations(self) -> None:
+        """Fill the buffer of demonstrations, and count what they cost as CPU time of this run."""
+        buffer = self.model.replay_buffer
+        if not isinstance(buffer, HerBuffer) or buffer.demonstrations is None:
+            return
+        before_s = time.process_time()
+        cpu_s = demonstrations.add_demonstrations(
+            self.config, buffer.demonstrations, self._on_demonstration
+        )
+        self._cpu_start += time.process_time() - before_s - cpu_s
+
+    def _on_demonstration(self) -> None:
+        self.bar.show_activity("demonstrations")
+        self.stop_if_asked()
 
     @property
     def step(self) -> int:

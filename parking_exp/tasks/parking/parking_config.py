@@ -150,6 +150,10 @@ class ParkingConfig(TaskConfig):
             changes["success_goal_reward"] = self.training_success_goal_reward
         return self.model_copy(update=changes)
 
+    def for_demonstrations(self) -> Self:
+        """Return the config with starts in the lot, which are those that a planner plans for."""
+        return self.model_copy(update={"starts": "lot"})
+
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(ENV_ID, config=...)`."""
         options = self.model_dump(exclude=OUR_KEYS)

@@ -1,0 +1,179 @@
+"""Demonstrations: recorded once, a share of each batch, part of checkpoints and of the run key."""
+
+import shutil
+from signal import SIGTERM
+
+import numpy as np
+import pytest
+from support.models import model_of
+from support.run_equality import differences
+from support.runs import make_config, only_run
+
+from parking_exp.errors import ConfigError, InterruptedRunError
+from parking_exp.sweeps.single_run import train
+from parking_exp.tasks.registry import make_task
+from parking_exp.training import demonstrations
+from parking_exp.training.loop import RolloutCallback
+
+SMOKE = (
+    "experiment=smoke",
+    "env=parking_parallel",
+    "env.training_duration=null",
+    "env.duration=40",
+    "n_envs=1",
+    "total_timesteps=260",
+    "algorithm.learning_starts=200",
+    "evaluation.every_n_steps=null",
+    "evaluation.n_scenes=1",
+    "evaluation.final_n_scenes=2",
+    "evaluation.video_episodes=0",
+    "evaluation.n_certified_scenes=0",
+    "checkpoint.every_n_steps=230",
+    "tracking.progress_bar=false",
+    "tracking.mlflow=false",
+    "buffer.demonstrations=3",
+)
+
+
+def configured(output_dir, *overrides):
+    return make_config(*SMOKE, *overrides, f"output_dir={output_dir}")
+
+
+def demonstrated(config):
+    """The model of a config, with its demonstrations."""
+    model = model_of(config)
+    demonstrations.make_room(config, model)
+    buffer = model.replay_buffer.demonstrations
+    demonstrations.add_demonstrations(config, buffer, lambda: None)
+    return model
+
+
+def test_they_are_episodes_of_the_last_training_scenes_in_which_the_planner_parks(tmp_path):
+    config = configured(tmp_path)
+    buffer = demonstrated(config).replay_buffer.demonstrations
+    rows = buffer.storage.data[: buffer.episodes.steps, 0]
+    ends = np.cumsum(buffer.episodes.table["length"][:3])
+    assert ends[-1] == buffer.episodes.steps
+    stored = buffer.storage.take(ends - 1)
+    assert stored.terminated.tolist() == [True] * 3
+    assert stored.failed.tolist() == [False] * 3
+
+    seeds = config.env.training_seeds[-3:]
+    first = make_task(config.env).evaluation_batch(seeds, None).observe()
+    starts = np.concatenate([[0], ends[:-1]])
+    for key, values in first.items():
+        np.testing.assert_array_equal(buffer.storage.take(starts).obs[key], values)
+    # Each step begins where the one before has ended.
+    inside = np.setdiff1d(np.arange(1, len(rows)), starts)
+    before = buffer.storage.take(inside - 1).next_obs["observation"]
+    np.testing.assert_array_equal(before, buffer.storage.take(inside).obs["observation"])
+
+
+def test_starts_out_of_the_goal_are_not_those_of_demonstrations(tmp_path):
+    plain = demonstrated(configured(tmp_path)).replay_buffer.demonstrations
+    mixed = demonstrated(configured(tmp_path, "env.starts=goal")).replay_buffer.demonstrations
+    assert plain.storage.data.tobytes() == mixed.storage.data.tobytes()
+
+
+@pytest.mark.parametrize("buffer", ["her_future", "replay"])
+@pytest.mark.parametrize(("share", "expected"), [(0.25, 25), (0.5, 50), (0.996, 100)])
+def test_a_share_of_each_batch_is_theirs(tmp_path, buffer, share, expected):
+    config = configured(tmp_path, f"buffer={buffer}", f"buffer.demonstration_share={share}")
+    model = demonstrated(config)
+    _train_a_little(model)
+    batch = model.replay_buffer.sample(100)
+    shown = model.replay_buffer.demonstrations.storage.data["action"][:, 0]
+    is_shown = (batch.actions.numpy()[:, None] == shown[None]).all(axis=2).any(axis=1)
+    assert is_shown.sum() == expected
+    assert is_shown[100 - expected :].all()
+
+
+def _train_a_little(model):
+    model.learn(model.learning_starts)
+
+
+def test_her_gives_them_virtual_goals(tmp_path):
+    config = configured(tmp_path, "buffer.n_sampled_goal=4", "buffer.goal_velocity=zero")
+    model = demonstrated(config)
+    _train_a_little(model)
+    buffer = model.replay_buffer
+    own_goals = buffer.demonstrations.episodes.table["goal"][:3]
+    goals = buffer.sample(400).observations["desired_goal"].numpy()[-100:]
+    is_real = (goals[:, None] == own_goals[None]).all(axis=2).any(axis=1)
+    # 20 of 100 are real. Of the others, those that start at their goal stay so.
+    assert 20 <= is_real.sum() <= 30
+
+
+def test_the_runs_of_a_cell_share_a_file_and_each_counts_its_cpu_time(tmp_path, monkeypatch):
+    first = train(configured(tmp_path))
+    (file,) = (tmp_path / "demonstrations").glob("*.npz")
+    stored = dict(np.load(file))
+    stored["cpu_s"] = np.array(1000.0)
+    np.savez(file, **stored)
+    second = train(configured(tmp_path, "seed=1"))
+    assert first.metrics["time/cpu_s"] < 1000 < second.metrics["time/cpu_s"]
+    assert len(list((tmp_path / "demonstrations").glob("*.npz"))) == 1
+
+
+def test_a_resumed_run_has_them_from_its_checkpoint(tmp_path, monkeypatch):
+    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    train(configured(whole))
+    shutil.copytree(whole / "demonstrations", pieces / "demonstrations")
+    with monkeypatch.context() as patch:
+        patch.setattr(RolloutCallback, "_on_rollout_start", _stop_at(240))
+        with pytest.raises(InterruptedRunError):
+            train(configured(pieces))
+    shutil.rmtree(pieces / "demonstrations")
+    train(configured(pieces))
+    assert differences(only_run(whole).path, only_run(pieces).path) == []
+    assert not (pieces / "demonstrations").exists()
+
+
+def _stop_at(step):
+    begin = RolloutCallback._on_rollout_start
+
+    def begin_or_stop(callback):
+        begin(callback)
+        if callback.num_timesteps >= step:
+            callback.loop.stop.signal_number = SIGTERM
+
+    return begin_or_stop
+
+
+def test_they_are_part_of_the_run_key():
+    keys = {make_config(*overrides).run_key for overrides in (
+        ("env=parking_bays",),
+        ("env=parking_bays", "buffer.demonstrations=3"),
+        ("env=parking_bays", "buffer.demonstrations=4"),
+        ("env=parking_bays", "buffer.demonstrations=4", "buffer.demonstration_share=0.5"),
+    )}  # fmt: skip
+    assert len(keys) == 4
+
+
+@pytest.mark.parametrize(
+    ("overrides", "sentence"),
+    [
+        (("buffer.demonstrations=-1",), "buffer.demonstrations"),
+        (("buffer.demonstrations=3", "buffer.demonstration_share=1.0"), "demonstration_share"),
+        (("env=fetch_reach", "buffer.demonstrations=3"), "drives in parking tasks only"),
+        (
+            ("buffer.demonstrations=3", "buffer.demonstrator=parking_exp.buffers.HerBuffer"),
+            "buffer.demonstrator=parking_exp.buffers.HerBuffer is not a subclass of",
+        ),
+    ],
+)
+def test_what_can_not_demonstrate_is_refused(overrides, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        make_config(*overrides)
+
+
+def test_a_buffer_of_the_library_has_none():
+    with pytest.raises(ConfigError, match=r"buffer.demonstrations=3 needs parking_exp.*HerBuffer"):
+        make_config(
+            "buffer=her_future",
+            "~buffer.relabel_collision",
+            "~buffer.relabel_terminated",
+            "~buffer.goal_velocity",
+            "buffer._target_=stable_baselines3.HerReplayBuffer",
+            "buffer.demonstrations=3",
+        )
