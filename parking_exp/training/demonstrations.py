@@ -6,6 +6,7 @@ They are made once for the env of a config, and kept in `output_dir/demonstratio
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from filelock import FileLock
@@ -16,11 +17,13 @@ from stable_baselines3.common.vec_env import VecEnv
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
+from parking_exp.errors import ModelError
 from parking_exp.runs.atomic_files import replacing
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 
 DEMONSTRATOR_SEED = 0  # of the policy: the seeds of a cell share their demonstrations
+BATCH = 100  # episodes that are driven together: a step of each is kept until the last one ends
 
 Step = tuple[Any, ...]
 """The arguments of `HerBuffer.add`."""
@@ -57,6 +60,9 @@ def add_demonstrations(
 
     Returns:
         The CPU time that it took to make them, in an earlier run maybe [s].
+
+    Raises:
+        ModelError: their file is damaged.
     """
     settings = config.buffer
     env = config.env.for_demonstrations()
@@ -74,27 +80,31 @@ def add_demonstrations(
                 np.savez(file, allow_pickle=False, cpu_s=cpu_s, **buffer.storage.get_state())
             return cpu_s
 
-    with np.load(path, allow_pickle=False) as stored:
-        buffer.set_transitions(stored)
-        return float(stored["cpu_s"])
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            buffer.set_transitions(stored)
+            return float(stored["cpu_s"])
+    except (ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise ModelError(f"{path} is damaged; delete it, and it is made anew") from error
 
 
 def _record(config: RunConfig, buffer: HerBuffer, on_progress: Callable[[], None]) -> None:
     """Add an episode of the demonstrator for each of the last training seeds."""
     task = make_task(config.env.for_demonstrations())
-    seeds = config.env.training_seeds[-config.buffer.demonstrations :]
     demonstrator = get_class(config.buffer.demonstrator)
     policy: ScriptedPolicy = demonstrator(task, DEMONSTRATOR_SEED)
-    policy.start(seeds, on_progress)
-
-    envs = task.training_envs(len(seeds))
-    envs.seed(seeds.start)
-    steps, lengths = _first_episodes(policy, envs, on_progress)
-    envs.close()
+    all_seeds = config.env.training_seeds[-config.buffer.demonstrations :]
+    for first in range(0, len(all_seeds), BATCH):
+        seeds = all_seeds[first : first + BATCH]
+        policy.start(seeds, on_progress)
+        envs = task.training_envs(len(seeds))
+        envs.seed(seeds.start)
+        steps, lengths = _first_episodes(policy, envs, on_progress)
+        envs.close()
+        for env, length in enumerate(lengths):
+            for step in steps[:length]:
+                buffer.add(*_of_env(env, step))
     task.close()
-    for env, length in enumerate(lengths):
-        for step in steps[:length]:
-            buffer.add(*_of_env(env, step))
 
 
 def _first_episodes(

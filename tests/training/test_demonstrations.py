@@ -1,5 +1,6 @@
 """Demonstrations: recorded once, a share of each batch, part of checkpoints and of the run key."""
 
+import re
 import shutil
 from signal import SIGTERM
 
@@ -9,7 +10,7 @@ from support.models import model_of
 from support.run_equality import differences
 from support.runs import make_config, only_run
 
-from parking_exp.errors import ConfigError, InterruptedRunError
+from parking_exp.errors import ConfigError, InterruptedRunError, ModelError
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import demonstrations
@@ -113,6 +114,26 @@ def test_the_runs_of_a_cell_share_a_file_and_each_counts_its_cpu_time(tmp_path, 
     second = train(configured(tmp_path, "seed=1"))
     assert first.metrics["time/cpu_s"] < 1000 < second.metrics["time/cpu_s"]
     assert len(list((tmp_path / "demonstrations").glob("*.npz"))) == 1
+
+
+def test_a_damaged_file_is_named(tmp_path):
+    config = configured(tmp_path)
+    demonstrated(config)
+    (file,) = (tmp_path / "demonstrations").glob("*.npz")
+    file.write_bytes(file.read_bytes()[:-100])
+    with pytest.raises(ModelError, match=f"{re.escape(str(file))} is damaged; delete it"):
+        demonstrated(config)
+
+
+def test_batches_of_episodes_are_recorded_one_after_the_other(tmp_path, monkeypatch):
+    together = demonstrated(configured(tmp_path / "together")).replay_buffer.demonstrations
+    monkeypatch.setattr(demonstrations, "BATCH", 2)
+    apart = demonstrated(configured(tmp_path / "apart")).replay_buffer.demonstrations
+    assert together.episodes.steps == apart.episodes.steps
+    for name in ("obs", "action", "reward"):
+        expected = together.storage.data[name][: together.episodes.steps]
+        actual = apart.storage.data[name][: together.episodes.steps]
+        assert actual.tobytes() == expected.tobytes(), name
 
 
 def test_a_resumed_run_has_them_from_its_checkpoint(tmp_path, monkeypatch):
