@@ -64,6 +64,7 @@ SET_BY_RUN = {
     "algorithm.policy_kwargs": {"observation_space", "action_space", "lr_schedule", "use_sde"},
     "algorithm.policy_kwargs.optimizer_kwargs": {"params", "lr"},
     "algorithm.policy_kwargs.features_extractor_kwargs": {"observation_space"},
+    "buffer.demonstrator": {"task", "seed"},
     "tracking.trackers": {"config", "run_dir"},
 }  # fmt: skip
 
@@ -89,22 +90,28 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
         if section.target not in KNOWN_ARGUMENTS or section.arguments.get("policy_kwargs"):
             yield from _check_policy(section, import_object(section.target))
     if run.is_trained and run.buffer.demonstrations:
-        yield from _check_demonstrations(run)
+        yield from _check_demonstrations(run.buffer, run.env)
     for number, callback in enumerate(run.callbacks or ()):
         yield from _check_target(f"callbacks.{number}", callback, CALLBACK)
     for number, tracker in enumerate(run.tracking.trackers or ()):
         yield from _check_target(f"tracking.trackers.{number}", tracker, TRACKER)
 
 
-def _check_demonstrations(run: RunConfig) -> Iterator[str]:
+def _check_demonstrations(buffer: BufferConfig, env: Any) -> Iterator[str]:
     """Check the buffer and the policy of demonstrations."""
-    buffer = run.buffer
-    problems = list(_check_target("buffer.demonstrator", buffer.demonstrator, UNTRAINED))
-    yield from problems
+    key = "buffer.demonstrator"
+    problems = list(_check_target(key, buffer.demonstrator, UNTRAINED))
     if not problems:
-        yield from import_object(buffer.demonstrator).problems(run.env)
-    if not issubclass(import_object(buffer.target), import_object(HER_BUFFER)):
-        yield f"buffer.demonstrations={buffer.demonstrations} needs {HER_BUFFER}, or a subclass"
+        policy = import_object(class_path(buffer.demonstrator))
+        problems = [f"{key}: {problem}" for problem in policy.problems(env)]
+    yield from problems
+    # A class with a `sample` of its own would draw none of them.
+    own_sample = getattr(import_object(buffer.target), "sample", None)
+    if own_sample is not import_object(HER_BUFFER).sample:
+        yield (
+            f"buffer.demonstrations={buffer.demonstrations} needs {HER_BUFFER}, or a "
+            "subclass that inherits its sample()"
+        )
 
 
 def policy_class(algorithm: type) -> type | None:

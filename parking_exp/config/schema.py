@@ -44,7 +44,7 @@ from parking_exp.config_model import (
 )
 from parking_exp.tasks.registry import EnvConfig
 
-PLANNER = "parking_exp.tasks.parking.planning.planner.Planner"
+PLANNER = {"_target_": "parking_exp.tasks.parking.planning.Planner"}
 STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
 
 
@@ -121,10 +121,10 @@ class BufferConfig(ThirdParty):
     """The `buffer` group."""
 
     buffer_size: Annotated[int, Field(ge=1, le=100_000_000)]  # 11 GB
-    # Left out of stored configs where there are none.
+    # Left out of stored configs where they are the defaults.
     demonstrations: Annotated[int, Field(ge=0, le=10_000, exclude_if=not_)] = 0
     demonstration_share: Annotated[Share, Field(lt=1, exclude_if=(0.25).__eq__)] = 0.25
-    demonstrator: Annotated[str, Field(exclude_if=PLANNER.__eq__)] = PLANNER
+    demonstrator: Annotated[Node, Field(exclude_if=PLANNER.__eq__)] = PLANNER
 
 
 FINAL_EVALUATION = {"final_n_scenes", "n_certified_scenes", "video_episodes"}

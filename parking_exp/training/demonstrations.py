@@ -4,41 +4,50 @@ They are made once for the env of a config, and kept in `output_dir/demonstratio
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from hydra.utils import get_class
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from parking_exp.buffers import HerBuffer
+from parking_exp.config.paths import refuse_links
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ModelError
 from parking_exp.runs.atomic_files import replacing
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
+from parking_exp.tasks.task import Task
 
 DEMONSTRATOR_SEED = 0  # of the policy: the seeds of a cell share their demonstrations
-BATCH = 100  # episodes that are driven together: a step of each is kept until the last one ends
+BATCH = 100  # episodes that are driven together
+POLL_S = 1.0  # between two looks at whether another run is done with the file
 
-Step = tuple[Any, ...]
-"""The arguments of `HerBuffer.add`."""
+Transition = tuple[Any, ...]
+"""The arguments of `HerBuffer.add`, of one env."""
 
 
-def make_room(config: RunConfig, model: OffPolicyAlgorithm) -> None:
-    """Give the replay buffer of a model an empty one for the demonstrations of its run, if any."""
+@dataclass(frozen=True)
+class Recording:
+    """What is known of the demonstrations of a file, beside their transitions."""
+
+    cpu_s: float  # that they took
+    n_successes: int  # episodes that reached the goal
+
+
+def make_room(config: RunConfig, task: Task, model: OffPolicyAlgorithm) -> None:
+    """Give the replay buffer of a model an empty one for the demonstrations of its run."""
     buffer = model.replay_buffer
-    n_episodes = config.buffer.demonstrations
-    if not n_episodes:
-        return
     assert isinstance(buffer, HerBuffer)
-    longest = make_task(config.env).episode_steps
     buffer.demonstrations = type(buffer)(
-        n_episodes * longest,
+        config.buffer.demonstrations * task.episode_steps,
         model.observation_space,
         model.action_space,
         model.device,
@@ -49,93 +58,126 @@ def make_room(config: RunConfig, model: OffPolicyAlgorithm) -> None:
 
 
 def add_demonstrations(
-    config: RunConfig, buffer: HerBuffer, on_progress: Callable[[], None]
-) -> float:
-    """Fill an empty buffer with the demonstrations of a run.
+    config: RunConfig, model: OffPolicyAlgorithm, on_progress: Callable[[], None]
+) -> Recording:
+    """Fill the room for the demonstrations of a run, from their file if there is one.
 
     Args:
         config: of the run.
-        buffer: with one env.
+        model: of the run, after `make_room`.
         on_progress: called now and then; it may raise to stop.
 
-    Returns:
-        The CPU time that it took to make them, in an earlier run maybe [s].
-
     Raises:
-        ModelError: their file is damaged.
+        ModelError: the file is damaged.
+        UntrustedError: the file is a link that leads out of the output directory.
     """
-    settings = config.buffer
-    env = config.env.for_demonstrations()
-    key = short_hash([settings.demonstrator, settings.demonstrations, env.model_dump()])
-    folder = config.output_path / "demonstrations"
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{env.name}-{key}.npz"
-
-    with FileLock(path.with_suffix(".lock")):
+    buffer: Any = model.replay_buffer
+    demonstrations: HerBuffer = buffer.demonstrations
+    path = _path(config, demonstrations)
+    lock = FileLock(path.with_suffix(".lock"))
+    _wait_for(lock, on_progress)
+    try:
         if not path.exists():
-            began = time.process_time()
-            _record(config, buffer, on_progress)
-            cpu_s = time.process_time() - began
+            began_s = time.process_time()
+            n_successes = _record(config, model, demonstrations, on_progress)
+            recording = Recording(time.process_time() - began_s, n_successes)
             with replacing(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, allow_pickle=False, cpu_s=cpu_s, **buffer.storage.get_state())
-            return cpu_s
-
+                state = demonstrations.storage.get_state()
+                np.savez(file, allow_pickle=False, **asdict(recording), **state)
+            return recording
+    finally:
+        lock.release()
     try:
         with np.load(path, allow_pickle=False) as stored:
-            buffer.set_transitions(stored)
-            return float(stored["cpu_s"])
-    except (ValueError, KeyError, EOFError, BadZipFile) as error:
+            demonstrations.set_transitions(stored)
+            return Recording(float(stored["cpu_s"]), int(stored["n_successes"]))
+    except (ValueError, KeyError, EOFError, BadZipFile, ModelError) as error:
         raise ModelError(f"{path} is damaged; delete it, and it is made anew") from error
 
 
-def _record(config: RunConfig, buffer: HerBuffer, on_progress: Callable[[], None]) -> None:
-    """Add an episode of the demonstrator for each of the last training seeds."""
+def _path(config: RunConfig, buffer: HerBuffer) -> Path:
+    """Return the file of the demonstrations of a run, whose folder exists then."""
+    settings = config.buffer
+    env = config.env.for_demonstrations()
+    content = {
+        "demonstrator": settings.demonstrator,
+        "demonstrations": settings.demonstrations,
+        "env": env.model_dump(),
+        "handle_timeout_termination": buffer.handle_timeout_termination,
+    }
+    folder = config.output_path / "demonstrations"
+    path = folder / f"{env.name}-{short_hash(content)}.npz"
+    refuse_links([folder, path], config.output_path)
+    folder.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _wait_for(lock: FileLock, on_progress: Callable[[], None]) -> None:
+    """Acquire a lock that another run may hold for minutes."""
+    while not lock.is_locked:
+        try:
+            lock.acquire(timeout=POLL_S)
+        except Timeout:
+            on_progress()
+
+
+def _record(
+    config: RunConfig,
+    model: OffPolicyAlgorithm,
+    buffer: HerBuffer,
+    on_progress: Callable[[], None],
+) -> int:
+    """Add an episode for each of the last training seeds, and return how many are successful."""
     task = make_task(config.env.for_demonstrations())
-    demonstrator = get_class(config.buffer.demonstrator)
-    policy: ScriptedPolicy = demonstrator(task, DEMONSTRATOR_SEED)
+    arguments = dict(config.buffer.demonstrator)
+    policy: ScriptedPolicy = get_class(arguments.pop("_target_"))(
+        task, DEMONSTRATOR_SEED, **arguments
+    )
+    n_successes = 0
     all_seeds = config.env.training_seeds[-config.buffer.demonstrations :]
     for first in range(0, len(all_seeds), BATCH):
         seeds = all_seeds[first : first + BATCH]
         policy.start(seeds, on_progress)
         envs = task.training_envs(len(seeds))
         envs.seed(seeds.start)
-        steps, lengths = _first_episodes(policy, envs, on_progress)
+        for episode in _drive(policy, envs, on_progress):
+            for obs, next_obs, action, reward, done, infos in episode:
+                scaled = model.policy.scale_action(action)
+                buffer.add(obs, next_obs, scaled, reward, done, infos)
+            n_successes += bool(infos[0]["is_success"])
         envs.close()
-        for env, length in enumerate(lengths):
-            for step in steps[:length]:
-                buffer.add(*_of_env(env, step))
     task.close()
+    return n_successes
 
 
-def _first_episodes(
+def _drive(
     policy: ScriptedPolicy, envs: VecEnv, on_progress: Callable[[], None]
-) -> tuple[list[Step], list[int]]:
-    """Return steps of all envs until the first episode of each is over, and how long those are."""
+) -> list[list[Transition]]:
+    """Return the first episode of each env."""
+    episodes: list[list[Transition]] = [[] for _ in range(envs.num_envs)]
+    under_way = np.arange(envs.num_envs)
     observation: Any = envs.reset()
-    under_way = np.ones(envs.num_envs, bool)
-    lengths = np.zeros(envs.num_envs, np.int64)
-    steps = []
-    while under_way.any():
-        actions = policy(observation)
-        first_of_next: Any
-        first_of_next, rewards, dones, infos = envs.step(actions)
-        following = {key: values.copy() for key, values in first_of_next.items()}
-        for env in np.flatnonzero(dones):
-            for key, value in infos[env]["terminal_observation"].items():
-                following[key][env] = value
-        steps.append((observation, following, actions, rewards, dones, infos))
-        lengths[under_way] += 1
-        under_way &= ~dones
-        observation = first_of_next
+    actions = np.zeros((envs.num_envs, *envs.action_space.shape), envs.action_space.dtype)
+    while len(under_way):
+        actions[under_way] = policy(_rows(observation, under_way))
+        following: Any
+        following, rewards, dones, infos = envs.step(actions)
+        for env in under_way.tolist():
+            only = [env]
+            last = _rows(following, only)
+            if dones[env]:
+                end = infos[env]["terminal_observation"]
+                last = {key: np.array(value)[None] for key, value in end.items()}
+            before = _rows(observation, only)
+            transition = (before, last, actions[only], rewards[only], dones[only], [infos[env]])
+            episodes[env].append(transition)
+        policy.keep(~dones[under_way])
+        under_way = under_way[~dones[under_way]]
+        observation = following
         on_progress()
-    return steps, lengths.tolist()
+    return episodes
 
 
-def _of_env(env: int, step: Step) -> Iterator[Any]:
-    """Yield the parts of a step of many envs, each cut down to one env."""
-    only = slice(env, env + 1)
-    for part in step:
-        if isinstance(part, dict):
-            yield {key: values[only] for key, values in part.items()}
-        else:
-            yield part[only]
+def _rows(observation: dict[str, np.ndarray], rows: Any) -> dict[str, np.ndarray]:
+    """Return a copy of some rows of the observations of many envs."""
+    return {key: values[rows] for key, values in observation.items()}

@@ -69,7 +69,8 @@ class TrainingLoop(RunSession):
         )
         resources.callback(self.env.close)
         self.model = build_model(config, self.task, self.env, seeds.policy)
-        demonstrations.make_room(config, self.model)
+        if config.buffer.demonstrations:
+            demonstrations.make_room(config, self.task, self.model)
         self.model.set_logger(self.logger)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
@@ -82,7 +83,8 @@ class TrainingLoop(RunSession):
             self._best.unlink(missing_ok=True)
             if config.init is not None:
                 directory.update(init_sha256=warm_start.start(config, self.model))
-            self._add_demonstrations()
+            if config.buffer.demonstrations:
+                self._add_demonstrations()
         else:
             self._rollout_state = checkpoints.restore(
                 checkpoint, self.model, self.average, self._best
@@ -90,19 +92,13 @@ class TrainingLoop(RunSession):
             self.bar.say(f"resuming at step {progress.step}")
 
     def _add_demonstrations(self) -> None:
-        """Fill the buffer of demonstrations, and count what they cost as CPU time of this run."""
-        buffer = self.model.replay_buffer
-        if not isinstance(buffer, HerBuffer) or buffer.demonstrations is None:
-            return
-        before_s = time.process_time()
-        cpu_s = demonstrations.add_demonstrations(
-            self.config, buffer.demonstrations, self._on_demonstration
-        )
-        self._cpu_start += time.process_time() - before_s - cpu_s
-
-    def _on_demonstration(self) -> None:
+        """Add what the run learns from beside its own episodes, and count its CPU time."""
         self.bar.show_activity("demonstrations")
-        self.stop_if_asked()
+        before_s = time.process_time()
+        recording = demonstrations.add_demonstrations(self.config, self.model, self.stop_if_asked)
+        self._cpu_start += time.process_time() - before_s - recording.cpu_s
+        n_episodes = self.config.buffer.demonstrations
+        self.bar.say(f"demonstrations: {recording.n_successes} of {n_episodes} reach the goal")
 
     @property
     def step(self) -> int:
