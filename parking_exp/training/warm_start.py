@@ -11,7 +11,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.model_files import load_networks
 from parking_exp.algorithms.policy_files import load_policy
-from parking_exp.config.cell_labels import differing_keys, settings_of
+from parking_exp.config.cell_labels import Setting, differing_keys, settings_of
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import Agent
@@ -98,9 +98,18 @@ def _find_buffer(config: RunConfig, agent: Agent) -> Path:
     return checkpoint / BUFFER
 
 
+def _settings(config: RunConfig) -> dict[str, Setting]:
+    """Return a config as dotted keys, without those of optimizers."""
+    plain = config.plain()
+    given = plain["algorithm"].get("policy_kwargs") or {}
+    kept = {key: value for key, value in given.items() if not key.startswith("optimizer")}
+    plain["algorithm"]["policy_kwargs"] = kept
+    return settings_of(plain)
+
+
 def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) -> None:
-    own = settings_of(config.plain())
-    source = settings_of(agent.config.plain())
+    own = _settings(config)
+    source = _settings(agent.config)
     for key in differing_keys([own, source]):
         if key.startswith(keys):
             raise ConfigError(

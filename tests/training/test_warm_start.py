@@ -75,6 +75,14 @@ def test_networks_and_entropy_coefficient_are_the_sources_and_optimizers_are_new
     assert model.replay_buffer.size() == 0
 
 
+def test_keys_of_the_optimizer_may_differ(source):
+    config = from_source(source, "++algorithm.policy_kwargs.optimizer_kwargs.eps=1e-6")
+    warm_start.check_sources([config])
+    model = model_of(config)
+    warm_start.start(config, model)
+    assert model.actor.optimizer.param_groups[0]["eps"] == 1e-6
+
+
 def test_a_fixed_entropy_coefficient_stays(source):
     config = from_source(source, "algorithm.ent_coef=0.3")
     model = model_of(config)
