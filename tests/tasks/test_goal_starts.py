@@ -147,3 +147,10 @@ def test_training_starts_there_and_an_evaluation_does_not():
 def test_starts_out_of_the_goal_need_the_vectorized_simulator():
     with pytest.raises(ConfigError, match=r"env\.starts=goal needs env\.simulator=vectorized"):
         make_config("env.starts=goal", "env.simulator=highway_env")
+
+
+@pytest.mark.parametrize("override", ["speed_range=[0,5]", "acceleration_range=[0,5]"])
+def test_starts_out_of_the_goal_need_both_directions(override):
+    with pytest.raises(ConfigError, match=r"^env\.starts=mixed: env\.action\.speed_range and acc"):
+        make_config("env=parking_parallel", "env.starts=mixed", f"env.action.{override}")
+    make_config("env=parking_parallel", "env.starts=mixed", "env.action.speed_range=[-1,5]")

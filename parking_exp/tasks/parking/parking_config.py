@@ -60,6 +60,8 @@ class ObservationConfig(ConfigModel):
 # highway-env's own ranges of ContinuousAction, where the config has none.
 ACCELERATION_RANGE_MPS2 = (-5.0, 5.0)
 STEERING_RANGE_RAD = (-math.pi / 4, math.pi / 4)
+# That of its Vehicle.
+SPEED_RANGE_MPS = (-40.0, 40.0)
 
 
 class ActionConfig(ConfigModel):
@@ -81,6 +83,13 @@ class ActionConfig(ConfigModel):
             self.acceleration_range or ACCELERATION_RANGE_MPS2,
             self.steering_range or STEERING_RANGE_RAD,
         ]
+
+    @property
+    def allows_reverse(self) -> bool:
+        """Whether a car can drive ahead and in reverse."""
+        acceleration, _ = self.ranges
+        both = [acceleration, self.speed_range or SPEED_RANGE_MPS]
+        return all(low < 0 < high for low, high in both)
 
 
 class ParkingConfig(TaskConfig):
@@ -196,6 +205,11 @@ class ParkingConfig(TaskConfig):
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
         if self.starts != "lot" and self.simulator != "vectorized":
             yield f"env.starts={self.starts} needs env.simulator=vectorized"
+        if self.starts != "lot" and not self.action.allows_reverse:
+            yield (
+                f"env.starts={self.starts}: env.action.speed_range and acceleration_range have to "
+                "allow driving ahead and in reverse, as on the way out of the goal"
+            )
         # A stored config has the numbers of its level, and no levels.
         if self.level and self.levels and self.level not in self.levels:
             yield f"env.level={self.level}: choose from {', '.join(self.levels)}"

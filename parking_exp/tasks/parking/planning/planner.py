@@ -80,6 +80,11 @@ class Planner(ScriptedPolicy):
             return
         if _steering_limit(env) <= 0:
             yield "algorithm=planner: env.action.steering_range has to allow steering to both sides"
+        if not env.action.allows_reverse:
+            yield (
+                "algorithm=planner: env.action.speed_range and acceleration_range have to allow "
+                "driving ahead and in reverse"
+            )
 
     def start(self, seeds: Sequence[int], on_progress: Callable[[], None] | None = None) -> None:
         """Plan for the scenes that have no plan yet."""

@@ -24,7 +24,11 @@ from parking_exp.tasks.parking.geometry import (
 )
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
-from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, ParkingConfig
+from parking_exp.tasks.parking.parking_config import (
+    DEFAULT_FEATURES,
+    SPEED_RANGE_MPS,
+    ParkingConfig,
+)
 from parking_exp.tasks.parking.pose import Pose, relative_pose
 from parking_exp.tasks.parking.rays import ray_distances
 from parking_exp.tasks.parking.reward import reward_of
@@ -39,9 +43,6 @@ from parking_exp.tasks.parking.simulator.dynamics import (
 from parking_exp.tasks.parking.simulator.scene_state import MOVING, SCALES, SceneState
 from parking_exp.tasks.task import Step
 
-# highway-env's own range of Vehicle, where the config has none.
-SPEED_RANGE_MPS: Range = (-40.0, 40.0)
-
 HALF_CAR_M = np.array([[CAR_LENGTH_M / 2], [CAR_WIDTH_M / 2]])
 
 
@@ -55,7 +56,7 @@ class Simulator:
         self._low = np.array([[low] for low, _ in action.ranges])
         self._span = np.array([[high - low] for low, high in action.ranges])
         low, high = action.speed_range or SPEED_RANGE_MPS
-        self.speed_range = (low, high)
+        self.speed_range: Range = (low, high)
         self.clip = action.clip
         self.frames = config.simulation_frequency // config.policy_frequency
         self.dt = 1 / config.simulation_frequency
