@@ -11,7 +11,6 @@ ENOUGH_SEEDS = 10
 FEW_NAMES = 4
 WAITING = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
 COMPARABLE = {
-    "total_timesteps",
     "evaluation.first_scene",
     "evaluation.n_scenes",
     "evaluation.every_n_steps",
@@ -74,6 +73,8 @@ def _find_mixed(report: ReportData) -> Iterator[str]:
     for key, values in origin.difference.items():
         if key in COMPARABLE:
             conditions[key] = values
+    budgets = [cell.total_timesteps for cell in report.cells]
+    conditions["total_timesteps"] = [steps for steps in budgets if steps]  # 0: it is not trained
     for condition, seen in conditions.items():
         names = [setting(value) for value in dict.fromkeys(seen)]
         if len(names) > 1:

@@ -13,6 +13,7 @@ from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.reports.cell_selection import choose_cells, find_cell, group_runs
 from parking_exp.reports.report_builder import build_report
+from parking_exp.reports.report_warnings import find_incomparable
 from parking_exp.reports.sections import section_contents
 from parking_exp.reports.tables import report_tables
 from parking_exp.statistics import Interval, SeedRates, compare
@@ -174,6 +175,16 @@ def test_mixed_conditions_are_warned_of():
         "Mixed tasks, whose rates are not of the same episodes: env.vehicles_count differ.",
     ]
     assert report.provenance.versions["highway-env"] == {"1.12.1": 7, "1.11.0": 7}
+
+
+def test_a_cell_that_is_not_trained_mixes_no_budgets():
+    report = content(
+        {"short": {}, "long": {"total_timesteps": 800}}, range(2), by_seed(Run(), Run())
+    )
+    assert "Mixed total_timesteps: 400 and 800." in report.warnings
+    short, long = report.cells
+    untrained = replace(report, cells=[replace(short, total_timesteps=0), long])
+    assert not any(line.startswith("Mixed") for line in find_incomparable(untrained))
 
 
 def test_other_rewards_and_simulators_are_no_mixed_tasks():
