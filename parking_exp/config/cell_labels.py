@@ -167,13 +167,17 @@ def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
     """Return the labels of an experiment's cells.
 
-    A single cell without a label of its own is called by its algorithm and buffer.
+    A single cell without a label of its own is called by its algorithm, and by its buffer if it is
+    trained.
     """
     if len(configs) > 1:
         factors, settings = find_factors(configs, [""] * len(configs))
         return labels_from_factors(factors, settings, names)
     (config,) = configs
-    options = [config.get(f"{group}.name") for group in ("algorithm", "buffer")]
+    groups = ["algorithm", "buffer"]
+    if config.get("total_timesteps") == 0:
+        groups.remove("buffer")
+    options = [config.get(f"{group}.name") for group in groups]
     text = ", ".join(str(option) for option in options if option is not None)
     return [str(config.get(LABEL) or text or names[0])]
 

@@ -129,7 +129,7 @@ def update_ratio_warning(run: RunConfig) -> str | None:
     learns well for its cost. With more, 8 updates per step of all envs do.
     """
     suggested = min(1, 8 / run.n_envs)
-    if suggested / FAR <= run.updates_per_step <= suggested * FAR:
+    if not run.is_trained or suggested / FAR <= run.updates_per_step <= suggested * FAR:
         return None
     warning = (
         f"updates_per_step={run.updates_per_step} is far from {suggested}, which "

@@ -24,6 +24,7 @@ from pydantic import (
     model_validator,
 )
 
+from parking_exp.config.argument_limits import OFF_POLICY, SAC, TD3
 from parking_exp.config.paths import (
     SQLITE,
     absolute,
@@ -115,6 +116,16 @@ class AlgorithmConfig(ThirdParty):
     net_arch: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], Field(min_length=1)] | None
     policy_ema_half_life: PositiveFloat | None
     normalize: bool
+
+
+KEYS_OF_TRAINING = {"trained", *OFF_POLICY, *SAC, *TD3}
+UNTRAINED: dict[str, Any] = {
+    "features": "raw",
+    "net_arch": None,
+    "policy_ema_half_life": None,
+    "normalize": False,
+}
+"""Our own keys of an algorithm with `trained: false`."""
 
 
 class BufferConfig(ThirdParty):
@@ -221,11 +232,16 @@ class RunConfig(OutputConfig):
     @model_validator(mode="before")
     @classmethod
     def _without_training(cls, values: Any) -> Any:
-        """Set `total_timesteps` to 0 where nothing is trained, whatever it was."""
+        """Leave out keys of training where nothing is trained, so that they have no effect."""
         algorithm = values.get("algorithm") if isinstance(values, Mapping) else None
-        if isinstance(algorithm, Mapping) and algorithm.get("net_arch", []) is None:
-            return {**values, "total_timesteps": 0}
-        return values
+        if not isinstance(algorithm, Mapping):
+            return values
+        is_stored = algorithm.get("net_arch", []) is None
+        if algorithm.get("trained", True) and not is_stored:
+            return values
+        own = {key: value for key, value in algorithm.items() if key not in KEYS_OF_TRAINING}
+        own.update(UNTRAINED)
+        return {**values, "total_timesteps": 0, "algorithm": own}
 
     @property
     def is_trained(self) -> bool:

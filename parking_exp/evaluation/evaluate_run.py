@@ -16,6 +16,7 @@ from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
 from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
 from parking_exp.evaluation.saved_models import find_saved_model, is_model_file
@@ -186,7 +187,10 @@ def _find_evaluations(requests: Sequence[EvaluationRequest]) -> list[Evaluation]
         else:
             agents = find(run, request.output_path, request.model, trust=request.trust)
         for agent in agents:
-            evaluations.append(Evaluation(request, agent, choose_env(request, agent)))
+            env = choose_env(request, agent)
+            if not agent.config.is_trained:
+                refuse(import_object(agent.config.algorithm.target).problems(env))
+            evaluations.append(Evaluation(request, agent, env))
     _check_envs(evaluations)
     return evaluations
 

@@ -12,8 +12,8 @@ from parking_exp.tasks.task import Observation, Task
 class ScriptedPolicy(ABC):
     """A policy that is not trained, and knows from which seeds its episodes start.
 
-    `algorithm._target_` names a subclass, with `algorithm.net_arch=null`. Its other arguments are
-    keys of the section.
+    `algorithm._target_` names a subclass, beside `trained: false`. Its other arguments are keys of
+    the section.
 
     Args:
         task: whose episodes it is for.

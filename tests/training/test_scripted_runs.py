@@ -9,6 +9,7 @@ from support.runs import call_script, make_config, only_run, script, store
 from support.sweep_processes import wait_until
 
 from parking_exp import load_model
+from parking_exp.config.rules import update_ratio_warning
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.statistics import wilson_interval
 
@@ -86,6 +87,18 @@ def test_a_finished_run_is_evaluated_with_a_replay_of_the_same_episodes(planned)
     pd.testing.assert_frame_equal(evaluated, final.drop(columns=["phase", "step"]))
 
 
+def test_an_evaluation_where_it_cannot_drive_is_refused_with_a_sentence(planned):
+    output_dir, _ = planned
+    done = call_script(
+        "evaluate", "run=latest", f"output_dir={output_dir}", "env.action.speed_range=[0,5]",
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: algorithm=planner: env.action.speed_range and acceleration_range have to allow "
+        "driving ahead and in reverse\n"
+    )
+
+
 def test_a_report_has_the_interval_of_the_episodes_and_says_what_the_planner_knows(planned):
     output_dir, _ = planned
     done = call_script("report", f"output_dir={output_dir}", "report=quick")
@@ -95,6 +108,7 @@ def test_a_report_has_the_interval_of_the_episodes_and_says_what_the_planner_kno
     low, high = wilson_interval(6, 6)
     assert cell["success"] == {"value": 1.0, "low": low, "high": high, "n": 1}
     assert cell["total_timesteps"] == 0
+    assert cell["label"] == "planner"
     assert "knows the map of each scene" in (folder / "index.html").read_text()
 
 
@@ -104,8 +118,22 @@ def test_the_planner_has_no_model_to_load(planned):
     assert str(error.value).startswith("algorithm=planner is not trained, so it has no model; ")
 
 
-def test_keys_of_training_change_no_env_steps_of_what_is_not_trained():
-    assert make_config("algorithm=planner", "total_timesteps=5000").total_timesteps == 0
+def test_keys_of_training_have_no_effect_on_what_is_not_trained():
+    plain = make_config("env=parking_parallel", "algorithm=planner")
+    for override in (
+        "total_timesteps=5000",
+        "algorithm.gamma=0.9",
+        "algorithm.net_arch=[8]",
+        "algorithm.features=ego",
+        "++algorithm.policy_delay=3",
+    ):
+        config = make_config("env=parking_parallel", "algorithm=planner", override)
+        assert config.run_key == plain.run_key, override
+    assert make_config("algorithm=planner", "experiment=smoke").algorithm == plain.algorithm
+    assert update_ratio_warning(make_config("algorithm=planner", "n_envs=1")) is None
+
+
+def test_trained_and_untrained_runs_do_not_mix_their_keys():
     assert make_config("algorithm=sac").total_timesteps == 256_000
     with pytest.raises(ConfigError, match="total_timesteps=0: algorithm=sac is trained; give at"):
         make_config("algorithm=sac", "buffer=replay", "total_timesteps=0")
