@@ -84,7 +84,6 @@ NOISE = {
     "dtype": Literal["float32", "float64"],
 }
 CLASS_LIMITS: dict[str, dict[str, Any]] = {
-    "Planner": {"margin_m": NonNegativeFloat, "time_limit_s": PositiveFloat},
     "LinearSchedule": {"start": PositiveFloat, "end": NonNegativeFloat, "end_fraction": Share},
     "ConstantSchedule": {"val": PositiveFloat},
     "NormalActionNoise": NOISE,

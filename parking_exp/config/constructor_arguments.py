@@ -9,7 +9,7 @@ import inspect
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -44,6 +44,7 @@ MIRRORED_POLICIES = (
     "stable_baselines3.td3.MultiInputPolicy",
 )
 PLAIN_TYPES = (int, float, bool, str, NoneType)
+CHECKED_TYPES = (Literal, Annotated)  # of annotations that pydantic checks as they are
 SIMILAR = 0.8  # similarity from which on a name counts as misspelt
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
@@ -279,11 +280,12 @@ def _check_value(
 ) -> Iterator[str]:
     """Check a value against its range, or else its annotation where that is a plain type."""
     annotation = Any if parameter is None else parameter.annotation
-    is_literal = get_origin(annotation) is Literal
-    types = {annotation} if is_literal else set(get_args(annotation)) or {annotation}
+    types = {annotation}
+    if get_origin(annotation) not in CHECKED_TYPES:
+        types = set(get_args(annotation)) or types
     if value is None and (NoneType in types or name in NULLABLE):
         return
-    is_plain = all(part in PLAIN_TYPES or get_origin(part) is Literal for part in types)
+    is_plain = all(part in PLAIN_TYPES or get_origin(part) in CHECKED_TYPES for part in types)
     limit = limits.get(name)
     if limit is None:
         limit = annotation if is_plain else Any

@@ -13,7 +13,7 @@ class ScriptedPolicy(ABC):
     """A policy that is not trained, and knows from which seeds its episodes start.
 
     `algorithm._target_` names a subclass, beside `trained: false`. Its other arguments are keys of
-    the section.
+    the section, whose values are checked by their annotations, such as pydantic's `PositiveFloat`.
 
     Args:
         task: whose episodes it is for.

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
-from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES, ParkingConfig
+from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.task import EvaluationBatch, Observation, Step
 
 STANDING_MPS = 0.1
 """A car that is slower has no gear, so that trembling at rest does not count."""
 
 REAR_AXLE_M = CAR_LENGTH_M / 2  # behind the middle of highway-env's car
-_SCALES = np.array(DEFAULT_SCALES, np.float64)
 
 
 class DrivenBatch:
@@ -126,10 +126,19 @@ def _reeds_shepp_space(radius_m: float) -> Any:
     return base.ReedsSheppStateSpace(radius_m)
 
 
+def moved_ahead(poses: np.ndarray, distance_m: float) -> np.ndarray:
+    """Return poses that are moved along their headings, shape (..., 3) [m, m, rad]."""
+    heading = poses[..., 2]
+    moved = poses.copy()
+    moved[..., 0] += distance_m * np.cos(heading)
+    moved[..., 1] += distance_m * np.sin(heading)
+    return moved
+
+
 def _rear_axle(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     """Return x, y and heading of rear axles, shape (n, 3) [m, m, rad], and speeds, shape (n,)
     [m/s].
     """
-    x, y, vx, vy, cos, sin = (observation["observation"][:, : len(_SCALES)] * _SCALES).T
+    x, y, vx, vy, cos, sin = (observation["observation"][:, : len(SCALES)] * SCALES).T
     place = np.stack([x - REAR_AXLE_M * cos, y - REAR_AXLE_M * sin, np.arctan2(sin, cos)], axis=1)
     return place, vx * cos + vy * sin

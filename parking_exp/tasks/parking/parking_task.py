@@ -12,9 +12,10 @@ from parking_exp.tasks.parking.driven_path import DrivenBatch
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES, ENV_ID, ParkingConfig
+from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.task import EvaluationBatch, Observation, Policy, Task
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ class ParkingTask(Task):
 
     def positions(self, observation: Observation) -> dict[str, np.ndarray]:
         """Return the poses of the cars [m, rad]."""
-        x, y, _, _, cos, sin = (observation["achieved_goal"] * DEFAULT_SCALES).T
+        x, y, _, _, cos, sin = (observation["achieved_goal"] * SCALES).T
         return dict(zip(PATH_COLUMNS, (x, y, np.arctan2(sin, cos)), strict=True))
 
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from parking_exp.tasks.parking.contacts import touches
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M
+from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, moved_ahead
 from parking_exp.tasks.parking.scenes import Scenes
 
 
@@ -24,9 +24,6 @@ class FreeSpace:
 
     def contains(self, poses: np.ndarray) -> bool:
         """Return whether a car fits at all poses of its rear axle, shape (n, 3) [m, m, rad]."""
-        heading = poses[:, 2]
-        centres = poses.copy()
-        centres[:, 0] += REAR_AXLE_M * np.cos(heading)
-        centres[:, 1] += REAR_AXLE_M * np.sin(heading)
+        centres = moved_ahead(poses, REAR_AXLE_M)
         touching = touches(self._scene, centres[None], walls=self._walls, margin_m=self._margin_m)
         return not touching.any()

@@ -7,8 +7,9 @@ from importlib.util import find_spec
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import NonNegativeFloat, PositiveFloat
 
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M
+from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, moved_ahead
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
@@ -16,6 +17,7 @@ from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.planning.controller import controls
 from parking_exp.tasks.parking.planning.free_space import FreeSpace
 from parking_exp.tasks.parking.planning.trajectory import trajectory
+from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation
 
@@ -52,8 +54,8 @@ class Planner(ScriptedPolicy):
         task: ParkingTask,
         seed: int,
         planner: OmplPlanner = "RRTConnect",
-        margin_m: float = 0.1,
-        time_limit_s: float = 10.0,
+        margin_m: NonNegativeFloat = 0.1,
+        time_limit_s: PositiveFloat = 10.0,
     ) -> None:
         super().__init__(task, seed)
         self._planner = planner
@@ -63,7 +65,6 @@ class Planner(ScriptedPolicy):
         self._dt = 1 / config.simulation_frequency
         self._frames = config.simulation_frequency // config.policy_frequency
         self._low, self._high = np.transpose(config.action.ranges)
-        self._scales = np.array(config.observation.scales)
         self._sharpest = np.tan(_steering_limit(config)) / CAR_LENGTH_M
         self._plans: dict[int, Plan] = {}
         self._batch: list[Plan] = []
@@ -103,7 +104,7 @@ class Planner(ScriptedPolicy):
             last = len(plan.trajectory) - 1
             rows.append(plan.trajectory[min(self._step, last)])
         self._step += 1
-        poses = observation["achieved_goal"] * self._scales
+        poses = observation["achieved_goal"] * SCALES
         asked = controls(poses, np.array(rows), self._sharpest, self._dt, self._frames)
         actions = 2 * (asked - self._low) / (self._high - self._low) - 1
         return np.clip(actions, -1, 1)
@@ -122,7 +123,7 @@ class Planner(ScriptedPolicy):
         path = self.find_path(seed)
         if path is None:
             scenes = lot_of(self.task.config).from_seeds([seed])
-            path = _rear_pose(scenes.start[0])[None]
+            path = moved_ahead(scenes.start, -REAR_AXLE_M)
         plan = trajectory(path, self._dt * self._frames)
         return Plan(plan, time.perf_counter() - began)
 
@@ -138,20 +139,14 @@ class Planner(ScriptedPolicy):
         # The numbers of a scene do not depend on the scenes before it.
         (path_seed,) = np.random.SeedSequence([self.seed, seed]).generate_state(1).tolist()
         return plan_path(
-            _rear_pose(scenes.start[0]),
-            _rear_pose(scenes.goal_pose[0]),
+            moved_ahead(scenes.start[0], -REAR_AXLE_M),
+            moved_ahead(scenes.goal_pose[0], -REAR_AXLE_M),
             space,
             planner=self._planner,
             radius_m=RESERVE / self._sharpest,
             time_limit_s=self._time_limit_s,
             seed=max(path_seed, 1),
         )
-
-
-def _rear_pose(pose: np.ndarray) -> np.ndarray:
-    """Return the pose of the rear axle of a car, shape (3,)."""
-    x, y, heading = pose
-    return np.array([x - REAR_AXLE_M * np.cos(heading), y - REAR_AXLE_M * np.sin(heading), heading])
 
 
 def _steering_limit(config: ParkingConfig) -> float:

@@ -47,23 +47,15 @@ def plan_path(
     # Random numbers of planners and samplers that are made after this line follow from the seed.
     util.RNG.setSeed(seed)
 
-    states = base.ReedsSheppStateSpace(radius_m)
-    bounds = base.RealVectorBounds(2)
-    for axis, half in enumerate(space.half_box.tolist()):
-        bounds.setLow(axis, -half)
-        bounds.setHigh(axis, half)
-    states.setBounds(bounds)
-
+    states = _states_of(space, radius_m)
     problem = geometric.SimpleSetup(states)
     information = problem.getSpaceInformation()
-    information.setMotionValidator(_MotionValidator(information, states, space, is_over))
-    problem.setStateValidityChecker(_PoseChecker(information, space))
+    motions = _MotionValidator(information, states, space, is_over)
+    information.setMotionValidator(motions)
+    problem.setStateValidityChecker(lambda state: space.contains(_pose(state)[None]))
     problem.setStartAndGoalStates(_state(states, start), _state(states, goal))
     problem.setOptimizationObjective(_any_path(information))
-    solver = getattr(geometric, planner)(information)
-    if hasattr(solver, "setRange"):
-        solver.setRange(RANGE_M)
-    problem.setPlanner(solver)
+    problem.setPlanner(_solver(planner, information))
 
     try:
         problem.solve(base.PlannerTerminationCondition(is_over))
@@ -73,20 +65,27 @@ def plan_path(
         geometric.PathSimplifier(information).reduceVertices(path)
         return _poses(states, path)
     finally:
-        # Our classes would otherwise keep the problem in memory, and it keeps them.
+        # Our class would otherwise keep the problem in memory, and it keeps the class.
         information.setMotionValidator(base.ReedsSheppMotionValidator(information))
-        problem.setStateValidityChecker(base.AllValidStateValidityChecker(information))
 
 
-class _PoseChecker(base.StateValidityChecker):
-    """Tests single poses."""
+def _states_of(space: FreeSpace, radius_m: float) -> Any:
+    """Return the poses between the walls, joined by curves with a smallest radius."""
+    states = base.ReedsSheppStateSpace(radius_m)
+    bounds = base.RealVectorBounds(2)
+    for axis, half in enumerate(space.half_box.tolist()):
+        bounds.setLow(axis, -half)
+        bounds.setHigh(axis, half)
+    states.setBounds(bounds)
+    return states
 
-    def __init__(self, information: Any, space: FreeSpace) -> None:
-        super().__init__(information)
-        self._space = space
 
-    def isValid(self, state: Any) -> bool:  # OMPL's name
-        return self._space.contains(_pose(state)[None])
+def _solver(planner: str, information: Any) -> Any:
+    """Return one of OMPL's planners; the branches of a tree are short."""
+    solver = getattr(geometric, planner)(information)
+    if hasattr(solver, "setRange"):
+        solver.setRange(RANGE_M)
+    return solver
 
 
 class _MotionValidator(base.MotionValidator):
