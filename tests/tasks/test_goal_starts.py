@@ -149,8 +149,9 @@ def test_starts_out_of_the_goal_need_the_vectorized_simulator():
         make_config("env.starts=goal", "env.simulator=highway_env")
 
 
-@pytest.mark.parametrize("override", ["speed_range=[0,5]", "acceleration_range=[0,5]"])
-def test_starts_out_of_the_goal_need_both_directions(override):
-    with pytest.raises(ConfigError, match=r"^env\.starts=mixed: env\.action\.speed_range and acc"):
-        make_config("env=parking_parallel", "env.starts=mixed", f"env.action.{override}")
+@pytest.mark.parametrize("name", ["speed_range", "acceleration_range"])
+def test_starts_out_of_the_goal_need_both_directions(name):
+    message = rf"^env\.starts=mixed: env\.action\.{name} has to allow both directions, as the way"
+    with pytest.raises(ConfigError, match=message):
+        make_config("env=parking_parallel", "env.starts=mixed", f"env.action.{name}=[0,5]")
     make_config("env=parking_parallel", "env.starts=mixed", "env.action.speed_range=[-1,5]")

@@ -11,7 +11,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_policy import evaluate, find_differences
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.planning import Planner
-from parking_exp.tasks.parking.planning.trajectory import REFERENCE, trajectory
+from parking_exp.tasks.parking.planning.trajectory import REFERENCE, Pace, trajectory
 from parking_exp.tasks.parking.scene_shapes import scene_shapes
 from parking_exp.tasks.registry import make_task
 
@@ -89,6 +89,12 @@ def test_obstacles_and_parked_cars_of_highway_envs_own_lot_are_avoided():
     assert episodes["outcome"].tolist() == ["success"] * 6
 
 
+@pytest.mark.parametrize("ranges", ["acceleration_range=[-1,1]", "speed_range=[-1,1]"])
+def test_a_slower_car_parks_too(ranges):
+    planner = make_planner("algorithm=planner", *TIGHT, f"env.action.{ranges}")
+    assert evaluate(planner, planner.task, range(6))["outcome"].tolist() == ["success"] * 6
+
+
 def test_a_scene_in_which_ompl_would_repeat_a_step_forever_is_solved():
     assert make_planner("env=parking").find_path(0) is not None
 
@@ -105,7 +111,7 @@ def test_without_a_path_the_car_stands_until_the_time_is_over():
 def test_a_trajectory_stops_where_the_direction_changes_and_at_the_end():
     x = np.concatenate([np.linspace(0, 4, 201), np.linspace(3.98, 1, 150)])
     path = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
-    rows = trajectory(path, 0.2)
+    rows = trajectory(path, Pace(step_s=0.2, speed_mps=2.5, acceleration_mps2=3))
     columns = dict(zip(REFERENCE, rows.T, strict=True))
     standing = columns["speed"] == 0
     assert columns["x"][standing].tolist() == pytest.approx([0, 4, 1])
@@ -139,7 +145,7 @@ def test_a_trajectory_stops_where_the_direction_changes_and_at_the_end():
         ),
         (
             ["algorithm=planner", "env.action.steering_range=[0.1,0.5]"],
-            "algorithm=planner: env.action.steering_range has to allow steering to both sides",
+            "algorithm=planner: env.action.steering_range has to allow both directions",
         ),
     ],
 )

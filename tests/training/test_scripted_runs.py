@@ -94,8 +94,7 @@ def test_an_evaluation_where_it_cannot_drive_is_refused_with_a_sentence(planned)
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stderr == (
-        "error: algorithm=planner: env.action.speed_range and acceleration_range have to allow "
-        "driving ahead and in reverse\n"
+        "error: algorithm=planner: env.action.speed_range has to allow both directions\n"
     )
 
 

@@ -57,11 +57,12 @@ class ObservationConfig(ConfigModel):
     )
 
 
-# highway-env's own ranges of ContinuousAction, where the config has none.
-ACCELERATION_RANGE_MPS2 = (-5.0, 5.0)
-STEERING_RANGE_RAD = (-math.pi / 4, math.pi / 4)
-# That of its Vehicle.
-SPEED_RANGE_MPS = (-40.0, 40.0)
+# highway-env's own ranges, where the config has none [m/s2, rad, m/s].
+RANGES = {
+    "acceleration_range": (-5.0, 5.0),
+    "steering_range": (-math.pi / 4, math.pi / 4),
+    "speed_range": (-40.0, 40.0),
+}
 
 
 class ActionConfig(ConfigModel):
@@ -79,17 +80,17 @@ class ActionConfig(ConfigModel):
     @property
     def ranges(self) -> list[Sequence[float]]:
         """The ranges of acceleration and steering [m/s2, rad]."""
-        return [
-            self.acceleration_range or ACCELERATION_RANGE_MPS2,
-            self.steering_range or STEERING_RANGE_RAD,
-        ]
+        return [self.range_of("acceleration_range"), self.range_of("steering_range")]
 
-    @property
-    def allows_reverse(self) -> bool:
-        """Whether a car can drive ahead and in reverse."""
-        acceleration, _ = self.ranges
-        both = [acceleration, self.speed_range or SPEED_RANGE_MPS]
-        return all(low < 0 < high for low, high in both)
+    def range_of(self, name: str) -> Sequence[float]:
+        """Return a range by its name, or highway-env's own."""
+        bounds: Sequence[float] = getattr(self, name) or RANGES[name]
+        return bounds
+
+    def limit(self, name: str) -> float:
+        """Return how far a range goes in both directions; at most 0 if it has only one."""
+        low, high = self.range_of(name)
+        return min(-low, high)
 
 
 class ParkingConfig(TaskConfig):
@@ -205,11 +206,12 @@ class ParkingConfig(TaskConfig):
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
         if self.starts != "lot" and self.simulator != "vectorized":
             yield f"env.starts={self.starts} needs env.simulator=vectorized"
-        if self.starts != "lot" and not self.action.allows_reverse:
-            yield (
-                f"env.starts={self.starts}: env.action.speed_range and acceleration_range have to "
-                "allow driving ahead and in reverse, as on the way out of the goal"
-            )
+        for name in ("acceleration_range", "speed_range"):
+            if self.starts != "lot" and self.action.limit(name) <= 0:
+                yield (
+                    f"env.starts={self.starts}: env.action.{name} has to allow both directions, as "
+                    "the way out of the goal has them"
+                )
         # A stored config has the numbers of its level, and no levels.
         if self.level and self.levels and self.level not in self.levels:
             yield f"env.level={self.level}: choose from {', '.join(self.levels)}"

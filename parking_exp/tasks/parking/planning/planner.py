@@ -12,11 +12,11 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, moved_ahead
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.parking.parking_config import RANGES, ParkingConfig
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.planning.controller import controls
 from parking_exp.tasks.parking.planning.free_space import FreeSpace
-from parking_exp.tasks.parking.planning.trajectory import trajectory
+from parking_exp.tasks.parking.planning.trajectory import Pace, trajectory
 from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation
@@ -25,7 +25,10 @@ OmplPlanner = Literal[
     "RRTConnect", "RRT", "RRTstar", "InformedRRTstar", "BITstar", "FMT", "BFMT", "KPIECE1"
 ]
 """Planners of OMPL that find paths here. PRM's threads would wait for Python forever."""
-RESERVE = 1.04  # of the radius of a path to the smallest one, so that errors can be corrected
+SPEED_MPS = 2.5
+# A plan does with less than the car can do, so that errors can be corrected.
+EASE = 0.6  # of its speed and acceleration
+RESERVE = 1.04  # of its smallest radius
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,13 @@ class Planner(ScriptedPolicy):
         self._dt = 1 / config.simulation_frequency
         self._frames = config.simulation_frequency // config.policy_frequency
         self._low, self._high = np.transpose(config.action.ranges)
-        self._sharpest = np.tan(_steering_limit(config)) / CAR_LENGTH_M
+        limit = config.action.limit
+        self._sharpest = np.tan(limit("steering_range")) / CAR_LENGTH_M
+        self._pace = Pace(
+            step_s=self._dt * self._frames,
+            speed_mps=min(SPEED_MPS, EASE * limit("speed_range")),
+            acceleration_mps2=EASE * limit("acceleration_range"),
+        )
         self._plans: dict[int, Plan] = {}
         self._batch: list[Plan] = []
         self._step = 0
@@ -79,13 +88,9 @@ class Planner(ScriptedPolicy):
         if not isinstance(env, ParkingConfig):
             yield f"algorithm=planner drives in parking tasks only; env={env.name} is another task"
             return
-        if _steering_limit(env) <= 0:
-            yield "algorithm=planner: env.action.steering_range has to allow steering to both sides"
-        if not env.action.allows_reverse:
-            yield (
-                "algorithm=planner: env.action.speed_range and acceleration_range have to allow "
-                "driving ahead and in reverse"
-            )
+        for name in RANGES:
+            if env.action.limit(name) <= 0:
+                yield f"algorithm=planner: env.action.{name} has to allow both directions"
 
     def start(self, seeds: Sequence[int], on_progress: Callable[[], None] | None = None) -> None:
         """Plan for the scenes that have no plan yet."""
@@ -124,7 +129,7 @@ class Planner(ScriptedPolicy):
         if path is None:
             scenes = lot_of(self.task.config).from_seeds([seed])
             path = moved_ahead(scenes.start, -REAR_AXLE_M)
-        plan = trajectory(path, self._dt * self._frames)
+        plan = trajectory(path, self._pace)
         return Plan(plan, time.perf_counter() - began)
 
     def find_path(self, seed: int) -> np.ndarray | None:
@@ -147,9 +152,3 @@ class Planner(ScriptedPolicy):
             time_limit_s=self._time_limit_s,
             seed=max(path_seed, 1),
         )
-
-
-def _steering_limit(config: ParkingConfig) -> float:
-    """Return the largest steering angle to both sides [rad]."""
-    _, (low, high) = config.action.ranges
-    return min(-low, high)

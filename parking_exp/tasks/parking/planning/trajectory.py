@@ -1,11 +1,10 @@
 """Trajectories: paths with a speed at each time."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-SPEED_MPS = 2.5
-ACCELERATION_MPS2 = 3.0  # less than the car's, so that errors can be corrected
 STEP_M = 0.5  # the longest way between two actions
 
 REFERENCE = ("x", "y", "heading", "speed", "next_speed", "curvature", "forward")
@@ -14,18 +13,27 @@ speed at the next step; its curvature [1/m] and the direction of motion, 1 or -1
 """
 
 
-def trajectory(path: np.ndarray, step_s: float) -> np.ndarray:
+@dataclass(frozen=True)
+class Pace:
+    """How fast a path is driven."""
+
+    step_s: float  # length of a policy step
+    speed_mps: float
+    acceleration_mps2: float
+
+
+def trajectory(path: np.ndarray, pace: Pace) -> np.ndarray:
     """Return what the rear axle should do on a path at each policy step, shape (steps, REFERENCE).
 
     The car stops where the path changes its direction, and at its end.
 
     Args:
         path: poses, shape (n, 3) [m, m, rad].
-        step_s: length of a policy step [s].
+        pace: at most.
     """
     parts = []
     if len(path) > 1:
-        parts = [_part(poses, forward, step_s) for poses, forward in _directed(path)]
+        parts = [_part(poses, forward, pace) for poses, forward in _directed(path)]
     x, y, heading = path[-1]
     parts.append(np.array([[x, y, heading, 0.0, 0.0, 0.0, 1.0]]))  # stand
     return np.concatenate(parts)
@@ -44,12 +52,12 @@ def _directed(path: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
         yield path[first : last + 1], float(forward[first])
 
 
-def _part(poses: np.ndarray, forward: float, step_s: float) -> np.ndarray:
+def _part(poses: np.ndarray, forward: float, pace: Pace) -> np.ndarray:
     """Return the trajectory of a part in one direction, from standstill to standstill."""
     steps_m = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     distance = np.concatenate([[0.0], np.cumsum(steps_m)])
-    speed = _speeds(distance[-1], step_s)
-    covered = (speed[:-1] + speed[1:]) / 2 * step_s
+    speed = _speeds(distance[-1], pace)
+    covered = (speed[:-1] + speed[1:]) / 2 * pace.step_s
     reached = np.concatenate([[0.0], np.cumsum(covered)])
 
     x, y, heading = (np.interp(reached, distance, column) for column in poses.T)
@@ -60,15 +68,15 @@ def _part(poses: np.ndarray, forward: float, step_s: float) -> np.ndarray:
     return np.stack(parts, axis=1)
 
 
-def _speeds(distance: float, step_s: float) -> np.ndarray:
+def _speeds(distance: float, pace: Pace) -> np.ndarray:
     """Return speeds at policy steps that cover a distance, the first and the last of them 0."""
-    fastest = min(SPEED_MPS, STEP_M / step_s)
+    fastest = min(pace.speed_mps, STEP_M / pace.step_s)
     n = 2
     while True:
         steps = np.arange(n + 1)
-        speed = ACCELERATION_MPS2 * step_s * np.minimum(steps, n - steps)
+        speed = pace.acceleration_mps2 * pace.step_s * np.minimum(steps, n - steps)
         speed = np.minimum(speed, fastest)
-        covered = speed.sum() * step_s
+        covered = speed.sum() * pace.step_s
         if covered >= distance:
             return speed * (distance / covered)
         n += 1

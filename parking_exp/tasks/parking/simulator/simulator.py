@@ -24,11 +24,7 @@ from parking_exp.tasks.parking.geometry import (
 )
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
-from parking_exp.tasks.parking.parking_config import (
-    DEFAULT_FEATURES,
-    SPEED_RANGE_MPS,
-    ParkingConfig,
-)
+from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, ParkingConfig
 from parking_exp.tasks.parking.pose import Pose, relative_pose
 from parking_exp.tasks.parking.rays import ray_distances
 from parking_exp.tasks.parking.reward import reward_of
@@ -55,7 +51,7 @@ class Simulator:
         action = config.action
         self._low = np.array([[low] for low, _ in action.ranges])
         self._span = np.array([[high - low] for low, high in action.ranges])
-        low, high = action.speed_range or SPEED_RANGE_MPS
+        low, high = action.range_of("speed_range")
         self.speed_range: Range = (low, high)
         self.clip = action.clip
         self.frames = config.simulation_frequency // config.policy_frequency
