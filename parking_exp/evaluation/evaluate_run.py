@@ -187,10 +187,10 @@ def _find_evaluations(requests: Sequence[EvaluationRequest]) -> list[Evaluation]
         else:
             agents = find(run, request.output_path, request.model, trust=request.trust)
         for agent in agents:
-            env = choose_env(request, agent)
+            evaluated_on = choose_env(request, agent)
             if not agent.config.is_trained:
-                refuse(import_object(agent.config.algorithm.target).problems(env))
-            evaluations.append(Evaluation(request, agent, env))
+                refuse(import_object(agent.config.algorithm.target).problems(evaluated_on))
+            evaluations.append(Evaluation(request, agent, evaluated_on))
     _check_envs(evaluations)
     return evaluations
 
