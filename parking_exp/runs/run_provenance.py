@@ -23,6 +23,7 @@ PACKAGES = (
     "gymnasium-robotics",
     "mujoco",
     "numpy",
+    "ompl",
     "hydra-core",
     "mlflow-skinny",
 )

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from importlib.metadata import version
 
 import pandas as pd
 import pytest
@@ -49,9 +50,10 @@ def test_a_run_of_the_planner_has_its_episodes_its_metrics_and_no_env_steps(plan
     assert (table["plan_s"] > 0).all()
     assert directory.config().total_timesteps == 0
     assert directory.result().steps == 0
-    metrics = store(output_dir).get_run(directory.run_id).data.metrics
+    stored = store(output_dir).get_run(directory.run_id).data
     final = table[table["phase"] == "final"]
-    assert metrics["final/plan_s_mean"] == pytest.approx(final["plan_s"].mean())
+    assert stored.metrics["final/plan_s_mean"] == pytest.approx(final["plan_s"].mean())
+    assert stored.tags["version.ompl"] == version("ompl")
 
 
 def test_a_run_that_is_killed_while_it_plans_ends_as_if_it_had_not_been(planned, tmp_path):
