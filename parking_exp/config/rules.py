@@ -107,8 +107,6 @@ def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
 def _check_algorithm(run: RunConfig) -> Iterator[str]:
     algorithm = run.algorithm
     train_freq = algorithm.arguments.get("train_freq")
-    if run.init is not None and not run.is_trained:
-        yield f"init={run.init}: algorithm={algorithm.name} is not trained; leave it out"
     if run.is_trained and run.total_timesteps == 0:
         yield f"total_timesteps=0: algorithm={algorithm.name} is trained; give at least 1"
     if algorithm.normalize and algorithm.features != "raw":

@@ -241,7 +241,10 @@ class RunConfig(OutputConfig):
             return values
         own = {key: value for key, value in algorithm.items() if key not in KEYS_OF_TRAINING}
         own.update(UNTRAINED)
-        return {**values, "total_timesteps": 0, "algorithm": own}
+        without_training = dict(values, algorithm=own, total_timesteps=0)
+        without_training.pop("init", None)
+        without_training.pop("init_buffer", None)
+        return without_training
 
     @property
     def is_trained(self) -> bool:

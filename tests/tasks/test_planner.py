@@ -145,7 +145,7 @@ def test_a_trajectory_stops_where_the_direction_changes_and_at_the_end():
         ),
         (
             ["algorithm=planner", "env.action.steering_range=[0.1,0.5]"],
-            "algorithm=planner: env.action.steering_range has to allow both directions",
+            "the planner needs an env.action.steering_range of both directions",
         ),
     ],
 )
@@ -158,7 +158,7 @@ def test_mistakes_are_refused_with_a_sentence(overrides, message):
 def test_another_task_is_refused_with_a_sentence():
     env = make_config("env=fetch_reach").env
     assert list(Planner.problems(env)) == [
-        "algorithm=planner drives in parking tasks only; env=fetch_reach is another task"
+        "the planner drives in parking tasks only; env=fetch_reach is another task"
     ]
 
 
@@ -168,5 +168,5 @@ def test_without_ompl_the_message_names_the_extra(monkeypatch):
         "parking_exp.tasks.parking.planning.planner.find_spec",
         lambda name: None if name == "ompl" else find_spec(name),
     )
-    with pytest.raises(ConfigError, match=r"ompl is not installed; pip install 'parking-exp\[pl"):
+    with pytest.raises(ConfigError, match=r"^the planner needs ompl; pip install 'parking-exp\[pl"):
         make_config("algorithm=planner")

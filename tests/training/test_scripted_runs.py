@@ -96,7 +96,7 @@ def test_an_evaluation_where_it_cannot_drive_is_refused_with_a_sentence(planned)
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stderr == (
-        "error: algorithm=planner: env.action.speed_range has to allow both directions\n"
+        "error: the planner needs an env.action.speed_range of both directions\n"
     )
 
 
@@ -123,6 +123,7 @@ def test_keys_of_training_have_no_effect_on_what_is_not_trained():
     plain = make_config("env=parking_parallel", "algorithm=planner")
     for override in (
         "total_timesteps=5000",
+        "init=pretrained/default",
         "algorithm.gamma=0.9",
         "algorithm.net_arch=[8]",
         "algorithm.features=ego",
@@ -134,9 +135,7 @@ def test_keys_of_training_have_no_effect_on_what_is_not_trained():
     assert update_ratio_warning(make_config("algorithm=planner", "n_envs=1")) is None
 
 
-def test_trained_and_untrained_runs_do_not_mix_their_keys():
+def test_what_is_trained_needs_env_steps():
     assert make_config("algorithm=sac").total_timesteps == 256_000
     with pytest.raises(ConfigError, match="total_timesteps=0: algorithm=sac is trained; give at"):
         make_config("algorithm=sac", "buffer=replay", "total_timesteps=0")
-    with pytest.raises(ConfigError, match=r"^init=latest: algorithm=planner is not trained; leave"):
-        make_config("algorithm=planner", "init=latest")

@@ -81,16 +81,18 @@ class Planner(ScriptedPolicy):
 
     @classmethod
     def problems(cls, env: Any) -> Iterator[str]:
-        """Yield why it can't plan: without OMPL, or in another task."""
+        """Yield why it can't plan: without OMPL, in another task, or for a car that can't turn or
+        drive in both directions.
+        """
         if find_spec("ompl") is None:
-            yield "algorithm=planner: ompl is not installed; pip install 'parking-exp[planning]'"
+            yield "the planner needs ompl; pip install 'parking-exp[planning]'"
             return
         if not isinstance(env, ParkingConfig):
-            yield f"algorithm=planner drives in parking tasks only; env={env.name} is another task"
+            yield f"the planner drives in parking tasks only; env={env.name} is another task"
             return
         for name in RANGES:
             if env.action.limit(name) <= 0:
-                yield f"algorithm=planner: env.action.{name} has to allow both directions"
+                yield f"the planner needs an env.action.{name} of both directions"
 
     def start(self, seeds: Sequence[int], on_progress: Callable[[], None] | None = None) -> None:
         """Plan for the scenes that have no plan yet."""
