@@ -96,12 +96,12 @@ def test_a_slower_car_parks_too(ranges):
 
 
 def test_a_scene_in_which_ompl_would_repeat_a_step_forever_is_solved():
-    assert make_planner("env=parking").find_path(0) is not None
+    assert len(make_planner("env=parking").find_path(0)) > 1
 
 
 def test_without_a_path_the_car_stands_until_the_time_is_over():
     planner = make_planner(*TIGHT, "env.duration=2", time_limit_s=1e-9)
-    assert planner.find_path(0) is None
+    assert len(planner.find_path(0)) == 1
     (row,) = evaluate(planner, planner.task, [0]).to_dict("records")
     assert row["outcome"] == "timeout"
     assert row["steps"] == 11

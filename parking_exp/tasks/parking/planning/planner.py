@@ -127,16 +127,12 @@ class Planner(ScriptedPolicy):
     def plan(self, seed: int) -> Plan:
         """Plan for a scene, that of `env.reset(seed=seed)`."""
         began = time.perf_counter()
-        path = self.find_path(seed)
-        if path is None:
-            scenes = lot_of(self.task.config).from_seeds([seed])
-            path = moved_ahead(scenes.start, -REAR_AXLE_M)
-        plan = trajectory(path, self._pace)
+        plan = trajectory(self.find_path(seed), self._pace)
         return Plan(plan, time.perf_counter() - began)
 
-    def find_path(self, seed: int) -> np.ndarray | None:
-        """Return the path of a scene: poses of the rear axle, shape (n, 3) [m, m, rad]; None if no
-        path was found in time.
+    def find_path(self, seed: int) -> np.ndarray:
+        """Return the path of a scene: poses of the rear axle, shape (n, 3) [m, m, rad]; the start
+        alone if no path was found in time.
         """
         from parking_exp.tasks.parking.planning.reeds_shepp import plan_path
 

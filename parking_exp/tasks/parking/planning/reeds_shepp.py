@@ -24,8 +24,8 @@ def plan_path(
     radius_m: float,
     time_limit_s: float,
     seed: int,
-) -> np.ndarray | None:
-    """Return a path from one pose of the rear axle to another, or None if none was found.
+) -> np.ndarray:
+    """Return a path from one pose of the rear axle to another, or the start if none was found.
 
     Args:
         start, goal: shape (3,) [m, m, rad].
@@ -60,7 +60,7 @@ def plan_path(
     try:
         problem.solve(base.PlannerTerminationCondition(is_over))
         if not problem.haveExactSolutionPath():
-            return None
+            return start[None]
         path = problem.getSolutionPath()
         geometric.PathSimplifier(information).reduceVertices(path)
         return _poses(states, path)
