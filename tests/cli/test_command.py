@@ -187,7 +187,7 @@ def test_a_built_wheel_works_from_any_directory(installed_wheel, tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
     assert (elsewhere / "outputs" / "mlflow.db").exists()
-    for name in ("crowded", "default", "parked"):
+    for name in ("crowded", "default", "parallel", "parked"):
         files = {path.name for path in (site / "parking_exp" / "pretrained" / name).iterdir()}
         assert files == {"README.md", "config.yaml", "policy.safetensors"}
     commands = ("evaluate", "export", "report", "status", "train", "tune")
