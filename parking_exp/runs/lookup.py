@@ -71,6 +71,11 @@ def find_run(
         raise RunNotFoundError(
             f"{key}=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} yet"
         )
+    if name == LATEST:
+        other = f", or write {key}={others[0]}" if others else ""
+        raise RunNotFoundError(
+            f"{key}=latest: there is no run in {output_dir} yet; train one first{other}"
+        )
     ids: dict[str, Path] = {}
     for path in runs:
         run_id = RunDirectory(path).run_id

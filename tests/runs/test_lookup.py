@@ -68,3 +68,12 @@ def test_the_run_that_latest_chose_is_named(tmp_path, capsys):
     (directory.models / "final.zip").touch()
     assert find_agent("latest", tmp_path).folder == directory.path
     assert capsys.readouterr().out == "run=latest     n_sampled_goal=8 seed=3 of experiment=smoke\n"
+
+
+def test_where_no_run_is_latest_says_so(tmp_path):
+    with pytest.raises(RunNotFoundError) as refusal:
+        find_run("latest", tmp_path, having="models/final.zip", others=["pretrained"])
+    expected = (
+        f"run=latest: there is no run in {tmp_path} yet; train one first, or write run=pretrained"
+    )
+    assert str(refusal.value) == expected
