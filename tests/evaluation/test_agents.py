@@ -82,7 +82,7 @@ def test_their_configs_are_those_of_the_recipes():
         "env.vehicles_count=[0,20]",
         "seeds=1",
     )
-    parallel = ("env=parking_parallel", "env.level=hard", "algorithm=td3", "seeds=1")
+    parallel = ("env=parking_parallel", "env.level=extreme", "algorithm=td3", "seeds=1")
     recipes = {
         "default": (),
         "parked": ("experiment=parked",),
