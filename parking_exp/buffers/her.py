@@ -292,16 +292,16 @@ def _joined(
     first: DictReplayBufferSamples, second: DictReplayBufferSamples
 ) -> DictReplayBufferSamples:
     """Return two minibatches as one."""
-    keys = first.observations
     return DictReplayBufferSamples(
-        observations={
-            key: torch.cat([first.observations[key], second.observations[key]]) for key in keys
-        },
+        observations=_joined_entries(first.observations, second.observations),
         actions=torch.cat([first.actions, second.actions]),
-        next_observations={
-            key: torch.cat([first.next_observations[key], second.next_observations[key]])
-            for key in keys
-        },
+        next_observations=_joined_entries(first.next_observations, second.next_observations),
         dones=torch.cat([first.dones, second.dones]),
         rewards=torch.cat([first.rewards, second.rewards]),
     )
+
+
+def _joined_entries(
+    first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]
+) -> dict[str, torch.Tensor]:
+    return {key: torch.cat([entry, second[key]]) for key, entry in first.items()}

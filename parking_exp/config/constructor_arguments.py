@@ -25,7 +25,7 @@ BASES = {
     "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",
 }
 HER_BUFFER = "parking_exp.buffers.HerBuffer"
-UNTRAINED = "parking_exp.tasks.scripted_policy.ScriptedPolicy"
+SCRIPTED_POLICY = "parking_exp.tasks.scripted_policy.ScriptedPolicy"
 CALLBACK = "stable_baselines3.common.callbacks.BaseCallback"
 TRACKER = "parking_exp.training.trackers.Tracker"
 # Arguments that are classes, as dotted paths or `_target_` nodes, and their base classes.
@@ -77,7 +77,7 @@ def class_path(value: Any) -> Any:
 
 def check_arguments(run: RunConfig) -> Iterator[str]:
     """Yield what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
-    bases = BASES if run.is_trained else {"algorithm": UNTRAINED}
+    bases = BASES if run.is_trained else {"algorithm": SCRIPTED_POLICY}
     for key, base in bases.items():
         section = getattr(run, key)
         problems = list(_check_target(key, {"_target_": section.target, **section.arguments}, base))
@@ -101,7 +101,7 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
 def _check_demonstrations(buffer: BufferConfig, env: Any) -> Iterator[str]:
     """Check the buffer and the policy of demonstrations."""
     key = "buffer.demonstrator"
-    problems = list(_check_target(key, buffer.demonstrator, UNTRAINED))
+    problems = list(_check_target(key, buffer.demonstrator, SCRIPTED_POLICY))
     if not problems:
         policy = import_object(class_path(buffer.demonstrator))
         problems = [f"{key}: {problem}" for problem in policy.problems(env)]
@@ -207,7 +207,7 @@ def _check_target(
     given = {}
     if isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
-    if base != UNTRAINED and given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
+    if base != SCRIPTED_POLICY and given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
         yield from _check_parameters(key, target.rpartition(".")[2], {}, given, is_open=True)
         return
     assignment = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"

@@ -56,7 +56,8 @@ class Agent:
 
         if self.config.is_trained:
             return greedy_policy(self.load(task))
-        return build_scripted_policy(self.config, task)
+        algorithm = self.config.algorithm
+        return build_scripted_policy(algorithm.target, algorithm.arguments, task, self.config.seed)
 
     def load(self, task: "Task") -> "OffPolicyAlgorithm":
         """Load the model with its weights, for predicting in a task.

@@ -12,10 +12,10 @@ from zipfile import BadZipFile
 
 import numpy as np
 from filelock import FileLock, Timeout
-from hydra.utils import get_class
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+from parking_exp.algorithms.scripted_policies import build_scripted_policy
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.run_key import short_hash
@@ -130,9 +130,8 @@ def _record(
     """Add an episode for each of the last training seeds, and return how many are successful."""
     task = make_task(config.env.for_demonstrations())
     arguments = dict(config.buffer.demonstrator)
-    policy: ScriptedPolicy = get_class(arguments.pop("_target_"))(
-        task, DEMONSTRATOR_SEED, **arguments
-    )
+    target = arguments.pop("_target_")
+    policy = build_scripted_policy(target, arguments, task, DEMONSTRATOR_SEED)
     n_successes = 0
     all_seeds = config.env.training_seeds[-config.buffer.demonstrations :]
     for first in range(0, len(all_seeds), BATCH):

@@ -29,7 +29,10 @@ class ScriptedRun(RunSession):
         resources: ExitStack,
     ) -> None:
         super().__init__(config, directory, trackers, SavedProgress(), stop, resources)
-        self.policy = build_scripted_policy(config, self.task)
+        algorithm = config.algorithm
+        self.policy = build_scripted_policy(
+            algorithm.target, algorithm.arguments, self.task, config.seed
+        )
 
     def learn(self) -> None:
         """Do nothing."""
