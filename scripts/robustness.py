@@ -3,10 +3,10 @@
 
     python scripts/robustness.py [RUN ...]
 
-A run is what `scripts/evaluate.py` takes; the rates of a folder of runs are averaged. Without
-arguments these are the pretrained agents. Each is evaluated on the env of its training, with 10
-cars if it was trained among cars. It has to reach its slot, or to stop in it where success requires
-that.
+A run is what `scripts/evaluate.py` takes. For a folder of runs, the table has the mean rates, and
+the lowest and highest rate of an agent. Without arguments these are the pretrained agents. Each is
+evaluated on the env of its training, with 10 cars if it was trained among cars. It has to reach its
+slot, or to stop in it where success requires that.
 """
 
 import sys
@@ -99,13 +99,19 @@ class Column:
         self.metric = "parked" if weighs_velocity else "success"
 
     def rates(self, perturbation: Perturbation) -> str:
-        """Return the mean rates of the agents in percent, e.g. `97.2 (0.8)`."""
+        """Return the mean rates of the agents in percent.
+
+        For example `97.2 (0.8)`, or of several agents `97.2, 95.0 to 99.4 (0.8)`.
+        """
         shares = []
         for policy, env in self.agents:
             shares.append(evaluate(policy, _perturbed(env, perturbation), perturbation))
-        rate = np.mean([share[self.metric] for share in shares])
-        crash = np.mean([share["crash"] for share in shares])
-        return f"{100 * rate:.1f} ({100 * crash:.1f})"
+        rates = 100 * np.array([share[self.metric] for share in shares])
+        crash = 100 * np.mean([share["crash"] for share in shares])
+        rate = f"{rates.mean():.1f}"
+        if len(rates) > 1:
+            rate += f", {rates.min():.1f} to {rates.max():.1f}"
+        return f"{rate} ({crash:.1f})"
 
 
 def _perturbed(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:

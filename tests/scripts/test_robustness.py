@@ -52,4 +52,4 @@ def test_rates_of_several_agents_are_averaged(script, monkeypatch):
     monkeypatch.setattr(script, "evaluate", lambda *_: next(shares))
     column = script.Column("pretrained")
     column.agents *= 2
-    assert column.rates(script.Perturbation()) == "75.0 (12.5)"
+    assert column.rates(script.Perturbation()) == "75.0, 50.0 to 100.0 (12.5)"
