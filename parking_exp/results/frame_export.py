@@ -14,7 +14,7 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.config.cell_labels import LABEL, parse_value, setting_text
+from parking_exp.config.cell_labels import parse_value, setting_text
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.frames import (
@@ -154,7 +154,7 @@ def _read_runs(path: Path) -> pd.DataFrame:
     settings = sorted(map(str, runs.filter(regex=r"^config\.")))
     for name in settings:
         texts = runs[name].astype(object).where(runs[name].notna(), None)
-        runs[name] = config_column(texts, name.removeprefix("config."))
+        runs[name] = config_column(texts)
     # The copy is in one piece, after so many columns were replaced.
     runs = runs.copy().assign(run_dir=None, artifact_uri=None)
     # Exports have no metrics that only other tasks have.
@@ -164,16 +164,9 @@ def _read_runs(path: Path) -> pd.DataFrame:
     return runs[[*columns, *versions, *settings]].astype(columns)
 
 
-def config_column(texts: Iterable[str | None], key: str = "") -> pd.Series:
+def config_column(texts: Iterable[str | None]) -> pd.Series:
     """Return the typed values of a config key."""
-    values = []
-    for text in texts:
-        value = parse_value(text)
-        # Exports of earlier versions have no quotes around a label that looks like a number.
-        if key == LABEL and isinstance(value, int | float):
-            value = text
-        values.append(value)
-    return setting_column(values)
+    return setting_column([parse_value(text) for text in texts])
 
 
 def _read_curves(path: Path, runs: pd.DataFrame) -> pd.DataFrame:

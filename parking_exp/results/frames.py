@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
 import pandas as pd
 
 from parking_exp.config.cell_labels import Config, Setting
@@ -66,8 +66,8 @@ DOWNLOADS_AT_ONCE = 16
 RATE = re.compile(r"^\d+\.\d% ")  # in front of the names of finished runs
 TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 """Tags of every run of this package; other runs are ignored."""
-TAG_COLUMNS = ("cell", "run_key", "seed", "status", "git_commit", "git_dirty", "cpu")
-"""Tags that are columns of `runs` as they are."""
+TAG_COLUMNS = ("cell", "run_key", "seed", "status", "error", "git_commit", "git_dirty", "cpu")
+"""Tags that are columns of `runs`."""
 
 
 def _no_paths() -> pd.DataFrame:
@@ -131,13 +131,14 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
             raise ResultsError(f"{searched}: it has no runs of parking_exp")
         runs = _make_runs(store, stored, ids)
 
-    configs, config_problems = _read_files(store, runs, CONFIG_FILE, config_reader())
-    logs, log_problems = _read_files(store, runs, METRICS_FILE, read_points)
+    problems = list(_duplicates(runs))
+    configs = _read_files(store, runs, CONFIG_FILE, config_reader(), problems)
+    logs = _read_files(store, runs, METRICS_FILE, read_points, problems)
     finished = runs[runs["status"] != "running"]
-    tables, table_problems = _read_files(store, finished, EPISODES_FILE, read_episodes)
-    # Figures show one run of a cell. Runs of earlier versions and of most tasks have no paths.
+    episodes = _read_files(store, finished, EPISODES_FILE, read_episodes, problems)
+    # Figures show one run of a cell. Runs of most tasks have no paths.
     lowest_seeds = runs[runs["status"] == "done"].drop_duplicates(["experiment", "cell"])
-    paths, path_problems = _read_files(store, lowest_seeds, PATHS_FILE, read_paths, optional=True)
+    paths = _read_files(store, lowest_seeds, PATHS_FILE, read_paths, problems, optional=True)
 
     points = _make_points(logs)
     last_steps = points.groupby("run_id")["step"].max()
@@ -145,16 +146,10 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     return Results(
         runs=_with_configs(runs, configs),
         curves=_make_curves(points),
-        episodes=_make_episodes(tables, runs["run_id"]),
+        episodes=_make_episodes(episodes, runs["run_id"]),
         uri=store.uri,
-        problems=(
-            *_duplicates(runs),
-            *config_problems,
-            *log_problems,
-            *table_problems,
-            *path_problems,
-        ),
-        paths=_make_paths(paths),
+        problems=tuple(problems),
+        paths=_concatenate(paths, _no_paths()),
     )
 
 
@@ -208,53 +203,33 @@ def setting_column(values: Sequence[Setting]) -> pd.Series:
 
 def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) -> pd.DataFrame:
     """Return `Results.runs` without what comes from files: the config and `steps`."""
-    names = {experiment_id: name for name, experiment_id in ids.items()}
-    keys = chain.from_iterable(run.data.metrics for run in stored)
-    added = added_metrics(keys, "final/")
+    tags = pd.DataFrame([run.data.tags for run in stored])
+    metrics = pd.DataFrame([run.data.metrics for run in stored])
+    infos = pd.DataFrame([dict(run.info) for run in stored])
+    added = added_metrics(metrics.columns, "final/")
     final = FINAL | {f"final/{name}": name for name in added}
     types = RUN_TYPES | dict.fromkeys(added, "float64")
 
-    rows = []
-    for run in stored:
-        row = _make_row(run, final)
-        row["experiment"] = names[run.info.experiment_id]
-        run_dir = store.run_dir(run)
-        row["run_dir"] = str(run_dir) if run_dir else None
-        rows.append(row)
-    runs = pd.DataFrame(rows, columns=[*types], dtype=object)
+    rates = metrics.reindex(columns=[*final]).rename(columns=final)
+    rates[tags["status"] != "done"] = np.nan
+    costs = metrics.reindex(columns=[*COST]).rename(columns=COST)
+    runs = pd.concat([tags.reindex(columns=[*TAG_COLUMNS]), rates, costs], axis=1)
+    runs[["run_id", "artifact_uri"]] = infos[["run_id", "artifact_uri"]]
+    runs["experiment"] = infos["experiment_id"].map({value: name for name, value in ids.items()})
+    runs["name"] = infos["run_name"].fillna("").str.replace(RATE, "", regex=True)
+    runs["error"] = runs["error"].replace("", None)
     runs["git_dirty"] = runs["git_dirty"].map({"true": True, "false": False})
-    for name in ("started", "ended"):
-        milliseconds = runs[name].astype("Int64")
-        runs[name] = pd.to_datetime(milliseconds, unit="ms", utc=True, errors="coerce")
+    run_dirs = pd.Series([store.run_dir(run) for run in stored], dtype=object)
+    runs["run_dir"] = run_dirs.map(str, na_action="ignore")
+    for column, time in {"started": "start_time", "ended": "end_time"}.items():
+        milliseconds = infos[time].astype("Int64")
+        runs[column] = pd.to_datetime(milliseconds, unit="ms", utc=True, errors="coerce")
     runs["steps"] = 0
-    runs = runs.astype(types)
+    runs = runs.reindex(columns=[*types]).astype(types)
 
-    tags = pd.DataFrame([run.data.tags for run in stored])
     versions = tags.filter(regex=r"^version\.").sort_index(axis="columns").astype(TEXT)
     runs = pd.concat([runs, versions], axis=1)
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
-
-
-def _make_row(run: "Run", final: Mapping[str, str]) -> dict[str, Any]:
-    """Return what MLflow itself has of a run, by column; times in ms.
-
-    `final` has the columns of the metrics of a finished run.
-    """
-    info = run.info
-    tags = run.data.tags
-    metrics = COST
-    if tags["status"] == "done":
-        metrics = {**final, **COST}
-    row: dict[str, Any] = {name: tags.get(name) for name in TAG_COLUMNS}
-    row["error"] = tags.get("error") or None
-    for key, column in metrics.items():
-        row[column] = run.data.metrics.get(key)
-    row["run_id"] = info.run_id
-    row["name"] = RATE.sub("", info.run_name or "")
-    row["started"] = info.start_time
-    row["ended"] = info.end_time
-    row["artifact_uri"] = info.artifact_uri
-    return row
 
 
 def _with_configs(runs: pd.DataFrame, configs: Mapping[str, Config]) -> pd.DataFrame:
@@ -299,18 +274,17 @@ def _make_episodes(tables: Mapping[str, pd.DataFrame], run_ids: pd.Series) -> pd
         for name, dtype in table.dtypes.items():
             columns.setdefault(str(name), dtype)  # metrics of users
 
-    # Without any table, columns have their types nevertheless.
-    parts = [pd.DataFrame(columns=["run_id", *columns]).astype(columns)]
-    parts += [table.assign(run_id=run_id) for run_id, table in tables.items()]
+    none = pd.DataFrame(columns=["run_id", *columns]).astype(columns)
     types = {"run_id": run_category(run_ids), **CATEGORIES}
-    return pd.concat(parts, ignore_index=True).astype(types)
+    return _concatenate(tables, none).astype(types)
 
 
-def _make_paths(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return `Results.paths` from the tables of runs, which are given by run id."""
-    parts = [_no_paths()]
-    parts += [table.assign(run_id=run_id) for run_id, table in tables.items()]
-    return pd.concat(parts, ignore_index=True)
+def _concatenate(tables: Mapping[str, pd.DataFrame], none: pd.DataFrame) -> pd.DataFrame:
+    """Return the tables of runs, which are given by run id, with the columns and types of `none`,
+    also where there is no table.
+    """
+    parts = [table.assign(run_id=run_id) for run_id, table in tables.items()]
+    return pd.concat([none, *parts], ignore_index=True)
 
 
 def run_category(run_ids: pd.Series) -> pd.CategoricalDtype:
@@ -323,11 +297,13 @@ def _read_files(
     runs: pd.DataFrame,
     name: str,
     parse: Callable[[bytes], Any],
+    problems: list[str],
     *,
     optional: bool = False,
-) -> tuple[dict[str, Any], list[str]]:
-    """Return the parsed artifact of each run that has it, by run id, and a sentence for each one
-    that is damaged, or missing unless it is optional.
+) -> dict[str, Any]:
+    """Return the parsed artifact of each run that has it, by run id.
+
+    `problems` gets a sentence for each one that is damaged, or missing unless it is optional.
     """
 
     def read(run: Mapping[Any, Any]) -> tuple[Any, str | None]:
@@ -343,7 +319,6 @@ def _read_files(
 
     records = runs.to_dict("records")
     parsed = {}
-    problems = []
     # More threads cost CPU time where files are local.
     n_threads = 1 if database(store.uri) else DOWNLOADS_AT_ONCE
     with ThreadPoolExecutor(n_threads) as pool:
@@ -354,7 +329,7 @@ def _read_files(
                 problems.append(
                     f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}"
                 )
-    return parsed, problems
+    return parsed
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
