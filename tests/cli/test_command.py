@@ -82,8 +82,7 @@ def test_help_refusals_and_plans_import_nothing_heavy(imported, name, argument):
     "name", slow_but(["train"], ["train", "tune", "evaluate", "export", "report", "status"])
 )
 def test_help_lists_the_options_of_groups_and_examples(name):
-    done = call_script(name, "--help")
-    assert done.returncode == 0
+    done = call_script(name, "--help", code=0)
     assert f"python scripts/{name}.py" in done.stdout
     assert [line for line in done.stdout.splitlines() if len(line) > 120] == []
     if name == "train":
@@ -149,8 +148,9 @@ def test_a_disk_error_is_one_sentence(capsys):
 
 def test_an_output_directory_that_cannot_be_created_is_one_sentence(tmp_path):
     (tmp_path / "file").touch()
-    done = call_script("train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}")
-    assert done.returncode == 2
+    done = call_script(
+        "train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}", code=2
+    )
     assert re.match(r"error: output_dir: .*: Not a directory$", done.stderr)
     assert done.stderr.count("\n") == 1
 

@@ -72,8 +72,7 @@ def test_a_damaged_status_affects_only_its_run(tmp_path):
         (path / "beat.json").write_text(
             json.dumps({"time": "x", "step": [], "steps_per_s": {}, "doing": 1})
         )
-    shown = call_script("status", f"output_dir={tmp_path}")
-    assert shown.returncode == 0, shown.stderr
+    shown = call_script("status", f"output_dir={tmp_path}", code=0)
     lines = shown.stdout.splitlines()
     assert [line.split() for line in lines[1:4]] == [
         ["a", "1", "50%"],
@@ -155,8 +154,7 @@ def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
 def test_status_refuses_in_one_sentence(tmp_path, arguments, message):
     if arguments:
         run_dir(tmp_path, status="done")
-    done = call_script("status", f"output_dir={tmp_path}", *arguments)
-    assert done.returncode == 2
+    done = call_script("status", f"output_dir={tmp_path}", *arguments, code=2)
     assert done.stderr.startswith(message)
     assert done.stderr.count("\n") == 1
 
@@ -264,11 +262,11 @@ def test_prune_marks_planned_runs_as_deleted_in_the_store(output_dir):
     (run,) = plan(compose_runs("config", ["experiment=smoke", f"output_dir={output_dir}"]))
     directory = RunDirectory(run.path)
     write_plan(directory, run.config, run.label, None)
-    assert call_script("status", f"output_dir={output_dir}", "sync=true").returncode == 0
+    call_script("status", f"output_dir={output_dir}", "sync=true", code=0)
     assert [stored.info.run_id for stored in store(output_dir).search_runs(["1"])] == [
         directory.run_id
     ]
-    assert call_script("status", f"output_dir={output_dir}", "prune=pending").returncode == 0
+    call_script("status", f"output_dir={output_dir}", "prune=pending", code=0)
     assert store(output_dir).search_runs(["1"]) == []
     assert not run.path.exists()
 

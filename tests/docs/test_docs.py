@@ -124,8 +124,7 @@ def test_commands_run(first, tmp_path):
     assert len(selected) > 5
     for command in selected:
         script, *words = cheap(command)
-        done = call_script(script.removesuffix(".py"), *words, cwd=tmp_path)
-        assert done.returncode == 0, (command, done.stderr)
+        call_script(script.removesuffix(".py"), *words, cwd=tmp_path, code=0)
 
 
 @pytest.mark.slow
@@ -147,8 +146,7 @@ def test_runs_start_from_others_as_the_page_on_runs_shows(tmp_path):
         words = shlex.split(line)
         if "algorithm.learning_starts=0" not in words:
             words.append("algorithm.learning_starts=2004")
-        done = call_script("train", *words, *few, cwd=tmp_path)
-        assert done.returncode == 0, (line, done.stderr)
+        call_script("train", *words, *few, cwd=tmp_path, code=0)
 
 
 EXAMPLES = [page for page in PAGES if any(not title for title, _ in blocks(page, "python"))]
@@ -172,9 +170,8 @@ def test_python_examples_run(page, output_dir, tmp_path, monkeypatch):
 def test_the_search_of_the_tuning_page_is_valid(tmp_path):
     write_examples(ROOT / "docs" / "tuning.md", tmp_path, "yaml")
     done = call_script(
-        "tune", "--config-dir", "my_conf", "search=mine", "dry_run=true", cwd=tmp_path
+        "tune", "--config-dir", "my_conf", "search=mine", "dry_run=true", cwd=tmp_path, code=0
     )
-    assert done.returncode == 0, done.stderr
     assert "buffer.n_sampled_goal" in done.stdout
 
 

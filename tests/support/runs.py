@@ -56,20 +56,22 @@ def script(name, *arguments, cwd=None, env=None):
     return command, {"cwd": cwd, "env": {**os.environ, **(env or {})}, "text": True}
 
 
-def run_script(name, *arguments, cwd=None, env=None, timeout=180):
-    """Run a script to its end."""
+def run_script(name, *arguments, cwd=None, env=None, timeout=180, code=None):
+    """Run a script to its end, which has the exit status `code`, if that is given."""
     command, keywords = script(name, *arguments, cwd=cwd, env=env)
-    return subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
+    done = subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
+    assert code in (None, done.returncode), done
+    return done
 
 
-def call_script(name, *arguments, cwd=None):
+def call_script(name, *arguments, cwd=None, code=None):
     """Do in this process what `python scripts/NAME.py ...` does: for what says or writes the same
-    in any process.
+    in any process. It has the exit status `code`, if that is given.
     """
     main = importlib.import_module(f"parking_exp.cli.{name}").main
     output = io.StringIO()
     errors = io.StringIO()
-    code = 0
+    status = 0
     with contextlib.ExitStack() as stack:
         stack.enter_context(pytest.MonkeyPatch.context()).setattr(
             sys, "argv", [f"scripts/{name}.py", *arguments]
@@ -81,10 +83,12 @@ def call_script(name, *arguments, cwd=None):
         try:
             main()
         except SystemExit as left:
-            code = left.code
-    return subprocess.CompletedProcess(
-        [name, *arguments], code or 0, output.getvalue(), errors.getvalue()
+            status = left.code or 0
+    done = subprocess.CompletedProcess(
+        [name, *arguments], status, output.getvalue(), errors.getvalue()
     )
+    assert code in (None, done.returncode), done
+    return done
 
 
 def evaluate_stored(path, *arguments):
@@ -95,9 +99,9 @@ def evaluate_stored(path, *arguments):
     return evaluate(lines, None)
 
 
-def sync_stored(output_dir, *arguments):
+def sync_stored(output_dir, *arguments, code=0):
     """Send what the store of an output directory lacks, as `scripts/status.py` does."""
-    return call_script("status", f"output_dir={output_dir}", "sync=true", *arguments)
+    return call_script("status", f"output_dir={output_dir}", "sync=true", *arguments, code=code)
 
 
 def in_memory():

@@ -75,7 +75,7 @@ def launcher(request):
 @pytest.mark.parametrize("launcher", LAUNCHERS, indirect=True, ids=":".join)
 def test_every_run_is_trained_failures_are_reported_and_nothing_is_done_twice(tmp_path, launcher):
     targets = "algorithm._target_=parking_exp.algorithms.SAC,support.user_algorithms.Raises,support.user_algorithms.IsKilled"
-    sweep(tmp_path, targets, *launcher, returns=2, timeout=300)
+    sweep(tmp_path, targets, *launcher, code=2, timeout=300)
     assert errors_by_label(tmp_path) == {
         "SAC": None, "Raises": "RuntimeError: a bad <day> [bold]", "IsKilled": "killed by SIGKILL (out of memory?)"
     }  # fmt: skip

@@ -14,8 +14,7 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
         "seeds=3",
         "buffer=her_future,her_final",
     )
-    done = call_script("train", *arguments, "dry_run=true", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = call_script("train", *arguments, "dry_run=true", cwd=tmp_path, code=0)
     lines = [line.split() for line in done.stdout.splitlines()]
     assert lines[:3] == [
         ["cell", "done", "running", "failed", "pending", "success"], ["her_future", "3"], ["her_final", "3"]

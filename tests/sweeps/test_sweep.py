@@ -41,19 +41,17 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
     directory = RunDirectory(failed.path)
     write_plan(directory, failed.config, failed.label, None)
     directory.update(status="failed", error="a bad day")
-    first = call_script(*command, *TWO)
-    assert first.returncode == 2
+    first = call_script(*command, *TWO, code=2)
     assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "done", "error:"]
     assert first.stderr.endswith(
         "error: of 2 runs, 1 failed; retry=failed runs failed ones again\n"
     )
-    done = call_script(*command, "retry=failed")
-    assert done.returncode == 0, done.stderr
+    call_script(*command, "retry=failed", code=0)
     assert stages(tmp_path) == ["done"] * 2
     assert trained(tmp_path) == [1, 1]
     before = statuses(tmp_path)
-    rerun = call_script(*command)
-    assert (rerun.returncode, rerun.stderr) == (0, "")
+    rerun = call_script(*command, code=0)
+    assert rerun.stderr == ""
     assert "1 cell x 2 seeds = 2 runs: 2 done, 0 to run" in rerun.stdout
     assert statuses(tmp_path) == before
     planned = call_script(*command[:-1], "seeds=3", "algorithm=sac,td3", "dry_run=true")
@@ -66,7 +64,7 @@ def test_every_way_to_fail_is_reported_and_the_other_runs_go_on(tmp_path):
     targets = ",".join(
         ["parking_exp.algorithms.SAC", *(f"support.user_algorithms.{kind}" for kind in kinds)]
     )
-    done = sweep(tmp_path, f"algorithm._target_={targets}", returns=2)
+    done = sweep(tmp_path, f"algorithm._target_={targets}", code=2)
     reasons = errors_by_label(tmp_path)
     assert reasons["SAC"] is None
     assert reasons["Raises"] == "RuntimeError: a bad <day> [bold]"
@@ -97,7 +95,7 @@ def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
         "timeout_s=2",
         "hydra/launcher=local",
     )
-    sweep(tmp_path, "seeds=[0]", *hangs, returns=2, timeout=60)
+    sweep(tmp_path, "seeds=[0]", *hangs, code=2, timeout=60)
     (status,) = statuses(tmp_path).values()
     assert (status["status"], status["error"]) == ("failed", "ran past timeout_s=2")
     assert "killed" not in status
@@ -230,8 +228,9 @@ SLURM = ("hydra/launcher=slurm",)
 
 
 def test_a_plan_warns_of_a_ratio_far_from_what_the_number_of_envs_suggests(tmp_path):
-    done = call_script("train", "n_envs=8", "seeds=2", "dry_run=true", f"output_dir={tmp_path}")
-    assert done.returncode == 0
+    done = call_script(
+        "train", "n_envs=8", "seeds=2", "dry_run=true", f"output_dir={tmp_path}", code=0
+    )
     assert done.stderr.startswith(
         "warning: updates_per_step=0.03125 is far from 1, which n_envs=8 suggests; envs=few "
     )
@@ -274,8 +273,9 @@ def test_a_launcher_in_an_experiment_file_makes_the_sweep_use_it(tmp_path, monke
 def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(
     tmp_path, arguments, words
 ):
-    done = call_script("train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", *arguments)
-    assert done.returncode == 2
+    done = call_script(
+        "train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", *arguments, code=2
+    )
     assert words in done.stderr
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1

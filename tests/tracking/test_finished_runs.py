@@ -63,8 +63,7 @@ def test_a_damaged_file_of_a_finished_run_does_not_replace_what_the_store_has(
     before = stored_files(finished)
     metrics = rows(finished.output_dir, "SELECT count(*) FROM metrics")
     DAMAGES[damage](finished.path / name)
-    synced = sync_stored(finished.output_dir)
-    assert synced.returncode == 2
+    synced = sync_stored(finished.output_dir, code=2)
     assert name.rpartition("/")[2] in synced.stderr
     assert "files and store differ for 1 run" in synced.stderr
     assert stored_files(finished) == before
@@ -81,7 +80,7 @@ def test_a_run_whose_damaged_file_is_restored_or_deleted_is_whole_again(finished
         problem = sync_problem([finished], store)
         assert "metrics.jsonl changed after the run was finished" in problem
         mend()
-        assert sync_stored(finished.output_dir).returncode == 0
+        sync_stored(finished.output_dir)
         assert stored_files(finished)["metrics.jsonl"] == content
 
 
@@ -109,8 +108,7 @@ def test_a_damaged_file_of_an_evaluation_does_not_replace_what_the_store_has(
     before = stored_files(finished)
     assert {"evaluations/again/episodes.csv", "evaluations/again/summary.json"} < set(before)
     DAMAGES[damage](folder / name)
-    synced = sync_stored(finished.output_dir)
-    assert synced.returncode == 2
+    synced = sync_stored(finished.output_dir, code=2)
     assert (
         f"evaluations/again/{name} changed after the run was finished; the store keeps what it has"
         in synced.stderr
@@ -130,8 +128,7 @@ def test_a_store_that_is_named_twice_is_synced_once(finished, uri):
 
 def test_a_status_that_can_t_be_read_is_a_problem_of_a_sync(finished):
     (finished.path / "status.json").write_text("")
-    synced = sync_stored(finished.output_dir)
-    assert synced.returncode == 2
+    synced = sync_stored(finished.output_dir, code=2)
     assert f"{finished.path}: status.json can't be read" in synced.stderr
     assert rows(finished.output_dir, "SELECT status FROM runs") == [("FINISHED",)]
 
@@ -145,7 +142,7 @@ def test_lost_artifacts_are_sent_again(finished, lost):
     else:
         half(path)
     synced = sync_stored(finished.output_dir)
-    assert (synced.returncode, synced.stderr) == (0, f"{finished.path}: the store has everything\n")
+    assert synced.stderr == f"{finished.path}: the store has everything\n"
     assert stored_files(finished) == before
 
 
@@ -194,17 +191,15 @@ def test_an_experiment_that_was_deleted_in_mlflow_is_named_by_all_commands(finis
     sentence = (
         f"mlflow experiments restore --experiment-id {experiment_id}`, or choose another name"
     )
-    synced = sync_stored(output_dir)
-    assert synced.returncode == 2
+    synced = sync_stored(output_dir, code=2)
     assert (
         f"{finished.path}: experiment=smoke is deleted in MLflow; restore it by " in synced.stderr
     )
     assert sentence in synced.stderr
-    reported = call_script("report", f"output_dir={output_dir}", "experiment=smoke")
-    assert reported.returncode == 2
+    reported = call_script("report", f"output_dir={output_dir}", "experiment=smoke", code=2)
     assert sentence in reported.stderr
     client.restore_experiment(experiment_id)
-    assert sync_stored(output_dir).returncode == 0
+    sync_stored(output_dir)
     assert artifacts(client, finished.run_id) == sorted(stored_files(finished))
 
 
@@ -218,8 +213,7 @@ def test_without_the_hashes_of_a_result_changed_files_are_not_sent(finished):
     before = stored_files(finished)
     (finished.path / "metrics.jsonl").write_text("")
     (finished.path / "result.json").write_text("")
-    synced = sync_stored(finished.output_dir)
-    assert synced.returncode == 2
+    synced = sync_stored(finished.output_dir, code=2)
     assert "result.json has no hashes to check them; the store keeps what it has" in synced.stderr
     assert stored_files(finished) == before
 

@@ -38,13 +38,12 @@ def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_n
     tmp_path, move
 ):
     old, new = tmp_path / "old", tmp_path / "new"
-    assert run_script("train", "experiment=smoke", f"output_dir={old}").returncode == 0
+    run_script("train", "experiment=smoke", f"output_dir={old}", code=0)
     move(old, new)
     before = files_below(tmp_path / "old")
     (path,) = find_runs(new)
     run_id = RunDirectory(path).run_id
-    done = run_script("evaluate", f"run={path}", f"output_dir={new}", *EVALUATE)
-    assert done.returncode == 0, done.stderr
+    done = run_script("evaluate", f"run={path}", f"output_dir={new}", *EVALUATE, code=0)
     assert "not stored" not in done.stdout
     assert files_below(old) == before
     assert (
@@ -60,8 +59,8 @@ def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_n
     results = load("smoke", output_dir=new)
     assert results.runs["run_dir"].tolist() == [str(path)]
     assert results.problems == ()
-    synced = run_script("status", f"output_dir={new}", "sync=true")
-    assert (synced.returncode, synced.stderr) == (0, "")
+    synced = run_script("status", f"output_dir={new}", "sync=true", code=0)
+    assert synced.stderr == ""
 
 
 def test_files_of_a_run_directory_do_not_name_the_output_directory(smoke):
@@ -107,8 +106,7 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
     uri = uri_of(listener)
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     foreign.update(tracking_uri=uri)
-    done = call_script("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = call_script("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path, code=0)
     assert f"tracking.uri={uri} sends the results there" in done.stdout
     assert (foreign.path / "evaluations" / "again" / "summary.json").exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]

@@ -133,7 +133,7 @@ def test_a_build_that_is_killed_at_any_time_is_completed_by_the_next_command(out
         time.sleep(delay)
         process.kill()
         process.wait()
-        assert sync_stored(output_dir).returncode == 0
+        sync_stored(output_dir)
         assert stored(output_dir) == [*range(40)]
         assert not list(output_dir.glob("*.build-*"))
 
@@ -162,7 +162,7 @@ def test_a_store_of_an_older_mlflow_is_used_with_all_that_it_has(output_dir):
     store_with_runs(output_dir)
     older_store(output_dir / "mlflow.db")
     execute(output_dir / "mlflow.db", DEFAULT, FOREIGN_RUN)
-    assert sync_stored(output_dir).returncode == 0
+    sync_stored(output_dir)
     assert stored(output_dir) == [0, 1, 2]
     assert store(output_dir).get_run("a").info.status == "RUNNING"
     assert not list(output_dir.glob("*replaced*"))

@@ -315,8 +315,7 @@ def test_a_store_that_fails_in_the_middle_is_completed(output_dir):
 def test_a_run_whose_store_is_down_finishes_and_is_sent_later(tmp_path):
     blocked = tmp_path / "mlflow.db"
     blocked.mkdir()  # a folder in place of the database
-    done = run_script("train", "experiment=smoke", f"output_dir={tmp_path}")
-    assert done.returncode == 0, done.stderr
+    done = run_script("train", "experiment=smoke", f"output_dir={tmp_path}", code=0)
     directory = only_run(tmp_path)
     assert (directory.status, directory.run_id) == ("done", None)
     assert done.stderr.count("unable to open database file") == 1

@@ -43,15 +43,13 @@ def states(output_dir):
 
 def test_a_search_trains_its_trials_tags_their_runs_and_a_rerun_does_nothing(output_dir):
     options = (*QUICK, f"output_dir={output_dir}", "n_trials=1", "search.tuning_seeds=[1001]")
-    done = call_script("tune", *options)
-    assert done.returncode == 0, done.stderr
+    call_script("tune", *options, code=0)
     (trial,) = trials(output_dir)
     assert (trial.state, trial.changes, trial.value, trial.by_seed) == ("done", {}, 0.0, [0.0])
     (run,) = store(output_dir).search_runs(["1"])
     tags = {"search": "smoke", "trial": "0", "seed": "1001"}
     assert {name: run.data.tags[name] for name in tags} == tags
-    rerun = call_script("tune", *options)
-    assert rerun.returncode == 0, rerun.stderr
+    rerun = call_script("tune", *options, code=0)
     assert "1 trials over, 0 to do" in rerun.stdout
     status = call_script("status", "experiment=smoke", f"output_dir={output_dir}")
     assert "best so far: trial 0: unchanged (success_auc 0.0%)" in status.stdout
@@ -104,14 +102,14 @@ def test_training_the_written_experiment_reproduces_the_winner(tmp_path):
     assert 0 in [trial["number"] for trial in tested["trials"]]
     path = tmp_path / "smoke" / "tuned_smoke.yaml"
     assert yaml.safe_load(path.read_text())["experiment_name"] == "tuned_smoke"
-    trained = run_script(
+    run_script(
         "train",
         f"experiment={path}",
         "seed=1001",
         f"output_dir={tmp_path}",
         "tracking.mlflow=false",
+        code=0,
     )
-    assert trained.returncode == 0, trained.stderr
     winner = tested["trials"][0]["number"]
     (fresh,) = tmp_path.glob("tuned_smoke/*/seed=1001")
     searched = tmp_path / trials(tmp_path)[winner].runs[0]
@@ -160,7 +158,6 @@ def test_two_calls_share_the_trials_of_a_study(tmp_path):
 
 @pytest.mark.usefixtures("srun")
 def test_a_search_refuses_launchers_of_clusters(tmp_path):
-    done = call_script("tune", *QUICK, f"output_dir={tmp_path}", "hydra/launcher=slurm")
-    assert done.returncode == 2
+    done = call_script("tune", *QUICK, f"output_dir={tmp_path}", "hydra/launcher=slurm", code=2)
     assert done.stderr.startswith("error: a search trains on this machine;")
     assert list(tmp_path.iterdir()) == []
