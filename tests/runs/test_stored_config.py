@@ -34,3 +34,16 @@ def test_a_stored_config_that_does_not_fit_the_schema_is_refused(directory, old,
     with pytest.raises(ConfigError, match=r"config\.yaml") as refused:
         directory.config()
     assert named in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"a: [", b"a: !!python/object/apply:os.system [ls]", b"\xff", b"a: &a [1]\nb: [*a, *a]"],
+)
+def test_a_stored_config_that_is_damaged_is_refused_in_one_sentence(directory, content):
+    path = directory.path / "config.yaml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError) as refused:
+        directory.config()
+    assert str(refused.value).startswith(f"{path} can't be read: ")
+    assert "\n" not in str(refused.value)

@@ -20,7 +20,7 @@ from support.sync_processes import sync
 from support.tracked_runs import files_below, finished_run, rows
 
 from parking_exp.config.paths import default_uri
-from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
+from parking_exp.errors import ParkingError, StoreError, UntrustedError
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
@@ -112,17 +112,6 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
     assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
     done = sync_stored(tmp_path / "theirs")
     assert f"tracking.uri={uri}" in done.stderr
-
-
-@pytest.mark.parametrize(
-    "content", ["", "a: [", "a: !!python/object/apply:os.system [ls]", "\udcff", "a: &a [*a]"]
-)
-def test_an_invalid_config_is_refused_in_one_sentence(foreign, content):
-    (foreign.path / "config.yaml").write_bytes(content.encode(errors="surrogateescape"))
-    with pytest.raises(ConfigError) as refusal:
-        foreign.config()
-    assert str(foreign.path / "config.yaml") in str(refusal.value)
-    assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["evaluations", "evaluations/again/episodes.csv", "video.mp4"])

@@ -230,21 +230,6 @@ def test_a_failed_run_has_its_error_in_the_store_until_it_is_resumed(output_dir)
     assert stored_run(directory).data.tags["error"] == ""
 
 
-def test_a_new_training_in_the_same_directory_replaces_the_stored_run(output_dir):
-    directory = finished_run(output_dir)
-    sync(directory)
-    old = directory.run_id
-    shutil.rmtree(directory.path)
-    directory = written_run(output_dir, started_ms=1_700_000_000_001)
-    grow(directory, rows=10)
-    sync(directory)
-    assert directory.run_id != old
-    assert stored_points(output_dir, directory.run_id) == local_points(directory)
-    assert rows(output_dir, f"SELECT lifecycle_stage FROM runs WHERE run_uuid = '{old}'") == [
-        ("deleted",)
-    ]
-
-
 def test_what_a_user_logs_tags_or_deletes_in_the_store_stays(output_dir):
     directory, client = written_run(output_dir), store(output_dir)
     grow(directory, rows=5)
