@@ -30,6 +30,8 @@ from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, read_search
 from parking_exp.tuning.trials import OBJECTIVE, count_states, progress_lines, progress_table
 
 WATCH_S = 2.0
+Searches = dict[str, StoredSearch | ParkingError]
+"""The search of each experiment that has one, or the error of reading it."""
 
 
 def main() -> None:
@@ -145,9 +147,7 @@ def _sync(request: StatusRequest) -> None:
         )
 
 
-def _print_tables(
-    out: Console, states: list[RunState], searches: dict[str, StoredSearch | ParkingError]
-) -> None:
+def _print_tables(out: Console, states: list[RunState], searches: Searches) -> None:
     out.print(cell_table(states))
     for line in state_lines(states, "running", "stopped", "failed", "damaged"):
         out.print(line)
@@ -159,9 +159,9 @@ def _print_tables(
             out.print(*progress_lines(search.trials, search.n_trials), sep="\n")
 
 
-def _read_searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingError]:
-    """Return the search of each experiment that has one, or the error of reading it."""
-    searches: dict[str, StoredSearch | ParkingError] = {}
+def _read_searches(request: StatusRequest) -> Searches:
+    """Return the searches of a request."""
+    searches: Searches = {}
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
             search = read_search(file.parent)
@@ -176,12 +176,10 @@ def _describe_search(name: str, search: StoredSearch | ParkingError) -> dict[str
     """Return a search and its trials for JSON."""
     if isinstance(search, ParkingError):
         return {"experiment": name, "error": str(search)}
-    plain: dict[str, Any] = {
+    return {
         "experiment": name,
         "n_trials": search.n_trials,
         "objective": OBJECTIVE,
+        **count_states(search.trials),
+        "trials": [asdict(trial) for trial in search.trials],
     }
-    for state, number in count_states(search.trials).items():
-        plain[str(state)] = number
-    plain["trials"] = [asdict(trial) for trial in search.trials]
-    return plain

@@ -106,7 +106,7 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
 def _describe_success(rates: Sequence[float]) -> dict[str, Any]:
     """Return the fields of a cell about the success of its seeds, beside its mean."""
     if not rates:
-        return {"lowest": None, "iqm": None, "reaching_95": None}
+        return {}
     return {
         "lowest": min(rates),
         "iqm": interquartile_mean(rates),

@@ -73,9 +73,9 @@ class CellSummary:
     episode_steps: Interval
     cpu_s: Interval
     area: Interval
-    lowest: float | None  # success of the worst seed
-    iqm: float | None  # interquartile mean of the seeds' success
-    reaching_95: int | None  # seeds that end at 95 % or above
+    lowest: float | None = None  # success of the worst seed
+    iqm: float | None = None  # interquartile mean of the seeds' success
+    reaching_95: int | None = None  # seeds that end at 95 % or above
     seeds: Sequence[RunSummary] = ()
     curve: Curve | None = None  # None without evaluations during training, as `survival`
     survival: SurvivalCurve | None = None  # of the env steps until 90 % are held

@@ -1,6 +1,6 @@
 """Find stored numbers of runs that can't be right, or that do not fit together."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,24 +15,25 @@ from parking_exp.statistics import finite_or_none
 
 def leave_out_impossible_rates(results: Results) -> Results:
     """Return results without rates outside 0 ... 1; `problems` has a sentence for each."""
-    names = {}
-    for run in results.runs.to_dict("records"):
-        names[run["run_id"]] = f"{run['cell']} seed={run['seed']}"
-    runs, run_problems = _leave_out_impossible(results.runs, names)
-    curves, curve_problems = _leave_out_impossible(results.curves, names)
-    problems = (*results.problems, *run_problems, *curve_problems)
-    return replace(results, runs=runs, curves=curves, problems=problems)
+    problems = list(results.problems)
+    runs = results.runs.set_index("run_id")
+    names = runs["cell"] + " seed=" + runs["seed"].astype(str)
+    return replace(
+        results,
+        runs=_leave_out_impossible(results.runs, names, problems),
+        curves=_leave_out_impossible(results.curves, names, problems),
+        problems=tuple(problems),
+    )
 
 
 def _leave_out_impossible(
-    frame: pd.DataFrame, names: Mapping[str, str]
-) -> tuple[pd.DataFrame, list[str]]:
+    frame: pd.DataFrame, names: pd.Series, problems: list[str]
+) -> pd.DataFrame:
     """Return a frame with a column `run_id` without impossible rates.
 
-    There is a sentence for each run and rate.
+    `problems` gets a sentence for each run and rate; `names` are those of runs by their id.
     """
     kept = frame.copy()
-    problems = []
     # Keys of the config, such as `learning_rate`, are no metrics.
     for column in frame.filter(regex=r"^(?!config\.).*_rate$"):
         is_impossible = (frame[column] < 0) | (frame[column] > 1)
@@ -40,7 +41,7 @@ def _leave_out_impossible(
             name = names[run["run_id"]]
             problems.append(f"{name}: {column} {run[column]:g} is no rate, and is left out.")
         kept.loc[is_impossible, column] = np.nan
-    return kept, problems
+    return kept
 
 
 def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> Iterator[str]:

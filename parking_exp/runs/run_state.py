@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -86,14 +87,13 @@ def as_planned(states: Iterable[RunState]) -> list[RunState]:
     Cells of several plans may have the same label; these labels get the keys of their cells.
     """
     in_order = sorted(states, key=_place)
-    cells: dict[tuple[str, str], set[str]] = {}
-    for state in in_order:
-        cells.setdefault((state.experiment, state.label), set()).add(state.cell)
+    cells = {(state.experiment, state.label, state.cell) for state in in_order}
+    n_cells = Counter((experiment, label) for experiment, label, _ in cells)
 
     labelled = []
     for state in in_order:
         label = state.label
-        if len(cells[state.experiment, label]) > 1:
+        if n_cells[state.experiment, label] > 1:
             key = state.cell.rpartition("-")[2]
             label = f"{label} ({key})"
         labelled.append(state.model_copy(update={"label": label}))

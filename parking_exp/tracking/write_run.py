@@ -124,9 +124,8 @@ def _record_id(directory: RunDirectory, run: "Run", uri: str) -> None:
 def _write_content(store: Store, run: "Run", snapshot: RunSnapshot) -> None:
     """Write the parameters, tags, metrics, files and MLflow's own status of a run."""
     files = snapshot.files
-    params = {}
-    for key, value in settings_of(snapshot.config.plain()).items():
-        params[key] = setting_text(value)[:MAX_PARAM_LENGTH]
+    settings = settings_of(snapshot.config.plain())
+    params = {key: setting_text(value)[:MAX_PARAM_LENGTH] for key, value in settings.items()}
     metrics = list(_new_metrics(run, files.get(METRICS_FILE)))
     store.log(run, params, snapshot.tags, metrics)
     for name, file in files.items():

@@ -114,7 +114,7 @@ def rank_trials(trials: Sequence[TrialRow]) -> list[TrialRow]:
     return sorted(done, key=lambda trial: trial.value or 0.0, reverse=True)
 
 
-def count_states(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
+def count_states(trials: Sequence[TrialRow]) -> dict[str, int]:
     """Return how many trials are in each state."""
     states = [trial.state for trial in trials]
     return {state: states.count(state) for state in get_args(TrialState)}
