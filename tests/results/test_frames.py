@@ -2,8 +2,6 @@
 
 import gzip
 import io
-import json
-import math
 import re
 import shutil
 from pathlib import Path
@@ -26,6 +24,7 @@ from parking_exp.results.run_logs import (
     config_reader,
     read_episodes,
 )
+from parking_exp.runs.metric_logs import MetricsLog
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 
@@ -173,23 +172,21 @@ def test_a_damaged_or_missing_file_is_a_problem_of_its_run_alone(output_dir):
 def test_runs_that_are_not_done_have_what_they_came_to_and_no_final_numbers(ablation):
     output_dir, made = ablation
     results = load("her", output_dir=output_dir)
-    unfinished = [row(results.runs, made[key]) for key in (("four", 2), ("none", 1), ("none", 2))]
-    assert [run["status"] for run in unfinished] == ["failed", "running", "interrupted"]
-    assert [run["steps"] for run in unfinished] == [200, 200, 0]
-    assert [run["cpu_s"] for run in unfinished][:2] == [150.0, 150.0]
-    assert all(math.isnan(run[name]) for run in unfinished for name in frames.FINAL.values())
-    assert unfinished[0]["error"] == "ValueError: <b> no"
-    assert [pd.isna(run["error"]) for run in unfinished] == [False, True, True]
-    assert [pd.isna(run["ended"]) for run in unfinished] == [False, True, False]
+    run_ids = [made[key].run_id for key in (("four", 2), ("none", 1), ("none", 2))]
+    failed, running, interrupted = run_ids
+    unfinished = results.runs.set_index("run_id").loc[run_ids]
+    assert unfinished["status"].tolist() == ["failed", "running", "interrupted"]
+    assert unfinished["steps"].tolist() == [200, 200, 0]
+    assert unfinished["cpu_s"].tolist()[:2] == [150.0, 150.0]
+    assert unfinished[[*frames.FINAL.values()]].isna().all(axis=None)
+    assert unfinished["error"].tolist()[0] == "ValueError: <b> no"
+    assert unfinished["error"].isna().tolist() == [False, True, True]
+    assert unfinished["ended"].isna().tolist() == [False, True, False]
     steps = results.curves.groupby("run_id")["step"].agg(list)
-    assert steps[made["four", 2].run_id] == steps[made["none", 1].run_id] == [100, 200]
-    assert made["none", 2].run_id not in steps
+    assert steps[failed] == steps[running] == [100, 200]
+    assert interrupted not in steps
     counts = results.episodes["run_id"].value_counts()
-    assert [counts[made[key].run_id] for key in (("four", 2), ("none", 1), ("none", 2))] == [
-        2 * 3,
-        0,
-        0,
-    ]
+    assert counts[run_ids].tolist() == [2 * 3, 0, 0]
     assert results.problems == ()
 
 
@@ -255,33 +252,22 @@ def test_an_experiment_that_is_unknown_or_has_no_runs_is_refused(ablation, outpu
 def test_a_real_run_is_loaded_as_it_was_trained(smoke):
     directory, _, output_dir = smoke
     results = load("smoke", output_dir=output_dir)
-    metrics = {}
-    for line in (directory.path / "metrics.jsonl").read_text().splitlines():
-        record = json.loads(line)
-        for key, value in record["metrics"].items():
-            metrics.setdefault(key, {})[record["step"]] = value
-    run, config = row(results.runs, directory), directory.config()
-    assert (run["status"], run["seed"], run["cell"], run["steps"]) == (
-        "done",
-        config.seed,
-        config.cell_name,
-        400,
-    )
+    log = MetricsLog(directory.path / "metrics.jsonl")
+    latest = log.latest()
+    run = row(results.runs, directory)
+    assert (run["status"], run["steps"], run["config.total_timesteps"]) == ("done", 400, 400)
     for key, name in {**frames.FINAL, **frames.COST}.items():
-        assert run[name] == metrics[key][400] if key in metrics else np.isnan(run[name])
+        assert run[name] == latest[key] if key in latest else np.isnan(run[name])
+    evaluations = log.frame().dropna(subset="eval/success_rate")
+    assert results.curves["step"].tolist() == evaluations["step"].tolist()
+    for key, name in {**CURVE, "time/cpu_s": "cpu_s"}.items():
+        if key in evaluations:
+            assert results.curves[name].tolist() == evaluations[key].tolist()
     assert results.curves["failure_rate"].isna().all()  # of other tasks
-    for key, name in {
-        **{key: name for key, name in CURVE.items() if key in metrics},
-        "time/cpu_s": "cpu_s",
-    }.items():
-        assert dict(zip(results.curves["step"], results.curves[name], strict=True)) == {
-            step: metrics[key][step] for step in metrics["eval/success_rate"]
-        }
     stored = results.episodes.drop(columns="run_id")
     pd.testing.assert_frame_equal(
         stored, pd.read_csv(directory.path / "episodes.csv").astype(EPISODES)
     )
-    assert run["config.total_timesteps"] == 400
     assert results.problems == ()
 
 

@@ -183,7 +183,7 @@ def test_workers_import_no_mlflow(tmp_path, monkeypatch):
 def test_a_sweep_sends_checkpoints_while_its_runs_train_and_provenance_needs_no_store(tmp_path):
     """`Lingers` leaves time to look."""
     stored, untracked = tmp_path / "stored", tmp_path / "untracked"
-    process = begin(stored, *SLOW, "seeds=2", "tracking.mlflow=true", "total_timesteps=100000")
+    process = begin(stored, *SLOW, *TWO, "tracking.mlflow=true", "total_timesteps=100000")
     wait_until(lambda: statuses_in_store(stored) == ["RUNNING", "RUNNING"])
     process.send_signal(signal.SIGINT)
     process.communicate()
