@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 from filelock import FileLock
-from support.runs import ROOT, in_memory, only_run, run_script
+from support.runs import ROOT, copy_of, in_memory, only_run, run_script
 
 CHROMIUM_ARGUMENTS = [
     "--no-sandbox",
@@ -57,9 +57,8 @@ def empty():
 @pytest.fixture
 def output_dir(empty):
     """An output directory with a store of its own."""
-    with in_memory() as folder:
-        shutil.copy(empty / "mlflow.db", folder)
-        yield Path(folder)
+    with copy_of(empty) as folder:
+        yield folder
 
 
 @pytest.fixture(scope="session")
@@ -86,8 +85,7 @@ def smoke(tmp_path_factory):
     output_dir, process_file = folder / "smoke" / "outputs", folder / "smoke" / "process.json"
     with FileLock(folder / "smoke.lock"):
         if not process_file.exists():
-            done = run_script("train", "experiment=smoke", f"output_dir={output_dir}")
-            assert done.returncode == 0, done.stderr
+            done = run_script("train", "experiment=smoke", f"output_dir={output_dir}", code=0)
             process_file.write_text(
                 json.dumps([done.args, done.returncode, done.stdout, done.stderr])
             )

@@ -2,15 +2,13 @@
 
 import json
 import re
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import yaml
 from support.report_command import report
-from support.runs import ROOT, in_memory, store
+from support.runs import ROOT, copy_of, store
 from support.store_factory import Look, make_store
 
 from parking_exp.cli.report import read_overrides
@@ -42,9 +40,8 @@ def made(output_dir):
 @pytest.fixture(scope="module")
 def unchanged(empty):
     """The same, for tests that write nothing."""
-    with in_memory() as folder:
-        shutil.copy(empty / "mlflow.db", folder)
-        yield two_cells(Path(folder))
+    with copy_of(empty) as folder:
+        yield two_cells(folder)
 
 
 def stored(output_dir):
@@ -122,14 +119,13 @@ def behind(empty):
     def look(label, seed):
         return Look(status="done" if label == "sac" and seed != 2 else "running")
 
-    with in_memory() as folder:
-        shutil.copy(empty / "mlflow.db", folder)
-        runs = make_store(Path(folder), "one", ALGORITHMS, range(4), look)
+    with copy_of(empty) as folder:
+        runs = make_store(folder, "one", ALGORITHMS, range(4), look)
         for seed in (1, 3):
             runs["sac", seed].update(status="failed", error="it was killed")
         (runs["sac", 3].path / "config.yaml").write_text("no config")
         assert set(load("one", output_dir=folder).runs["status"]) == {"done", "running"}
-        yield report(Path(folder), "experiment=one", "report=quick"), Path(folder), runs
+        yield report(folder, "experiment=one", "report=quick"), folder, runs
 
 
 def test_a_quick_report_shows_finished_runs_and_counts_missing_ones(behind):

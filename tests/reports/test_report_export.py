@@ -3,11 +3,10 @@
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from support.report_command import report
-from support.runs import in_memory
+from support.runs import copy_of
 from support.store_factory import Look, make_store
 
 from parking_exp.reports.make_report import ReportSource, read_report_export, write_report_export
@@ -35,10 +34,9 @@ def look(label, seed):
 @pytest.fixture(scope="module")
 def store(empty):
     """An output directory with four cells, of which one has a failed and an interrupted run."""
-    with in_memory() as folder:
-        shutil.copy(empty / "mlflow.db", folder)
-        make_store(Path(folder), "one", CELLS, range(3), look)
-        yield Path(folder)
+    with copy_of(empty) as folder:
+        make_store(folder, "one", CELLS, range(3), look)
+        yield folder
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,11 @@ import gzip
 import json
 import math
 import re
-import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 import pytest
-from support.runs import in_memory, read_text
+from support.runs import copy_of, read_text
 from support.store_factory import Look, compose, make_store
 
 from parking_exp.config.cell_labels import parse_value, setting_text
@@ -45,10 +43,9 @@ SETTINGS = {
 @pytest.fixture(scope="module")
 def stored(empty):
     """Results of two cells with a done and another run each."""
-    with in_memory() as folder:
-        shutil.copy(empty / "mlflow.db", folder)
+    with copy_of(empty) as folder:
         looks = {key: replace(look, settings=SETTINGS[key[0]]) for key, look in LOOKS.items()}
-        make_store(Path(folder), "her", HER, range(2), lambda *key: looks[key])
+        make_store(folder, "her", HER, range(2), lambda *key: looks[key])
         yield load("her", output_dir=folder)
 
 

@@ -3,14 +3,12 @@
 import gzip
 import io
 import re
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from support.mlflow_servers import closed_port, mlflow_server, needs_server
-from support.runs import in_memory, store
+from support.runs import copy_of, store
 from support.store_factory import STARTED_MS, Look, compose, made_episodes, make_store
 
 import parking_exp.results
@@ -42,9 +40,8 @@ LOOKS = {
 @pytest.fixture(scope="module")
 def ablation(empty):
     """(output directory, run directories) of two cells with three seeds."""
-    with in_memory() as folder:
-        shutil.copy(empty / "mlflow.db", folder)
-        yield Path(folder), make_store(Path(folder), "her", HER, range(3), lambda *key: LOOKS[key])
+    with copy_of(empty) as folder:
+        yield folder, make_store(folder, "her", HER, range(3), lambda *key: LOOKS[key])
 
 
 def row(runs, directory):

@@ -6,6 +6,7 @@ import gzip
 import importlib
 import io
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -110,6 +111,14 @@ def in_memory():
     """
     place = Path("/dev/shm")
     return tempfile.TemporaryDirectory(dir=place if os.access(place, os.W_OK) else None)
+
+
+@contextlib.contextmanager
+def copy_of(empty):
+    """A temporary output directory with a copy of the store of the fixture `empty`."""
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        yield Path(folder)
 
 
 def only_run(output_dir):

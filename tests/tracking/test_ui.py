@@ -1,28 +1,15 @@
 """MLflow's UI as a newcomer sees it at the address that `make ui` prints, in Chromium."""
 
 import re
-import shutil
 import subprocess
 import sys
 
-import pytest
 from support.mlflow_servers import closed_port, mlflow_server, needs_server
 from support.runs import ROOT
 from support.sync_processes import sync
 from support.tracked_runs import finished_run
 
 from parking_exp.config.paths import default_uri
-
-playwright = pytest.importorskip("playwright.sync_api")
-BROWSER = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-]
 
 
 def lines_of(*command):
@@ -62,19 +49,17 @@ def test_the_address_of_an_experiment_leads_to_its_runs(output_dir):
 
 
 @needs_server
-@pytest.mark.skipif(BROWSER is None, reason="no browser found: apt-get install chromium")
-def test_the_list_of_runs_shows_their_success_rates(tmp_path):
+def test_the_list_of_runs_shows_their_success_rates(browser, tmp_path):
     with closed_port() as port:
         uri = f"http://127.0.0.1:{port}"
         directory = finished_run(tmp_path, uri=uri)
         directory.update(success_rate=0.985)
-    with mlflow_server(port, tmp_path), playwright.sync_playwright() as driver:
+    with mlflow_server(port, tmp_path):
         sync(directory)
-        browser = driver.chromium.launch(executable_path=BROWSER, args=ARGUMENTS)
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.goto(addresses(uri, port)["smoke"], timeout=120_000)
         run = page.get_by_text(re.compile(r"^98\.5% parking-sac"))
         run.wait_for(timeout=120_000)
         assert run.is_visible()
         page.screenshot(path=tmp_path / "runs.png")
-        browser.close()
+        page.close()
