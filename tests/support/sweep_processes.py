@@ -52,6 +52,11 @@ def stages(output_dir):
     return sorted(status["status"] for status in statuses(output_dir).values())
 
 
+def saved(output_dir):
+    """Run directories that have a checkpoint."""
+    return {path.parents[1] for path in output_dir.glob("*/*/*/checkpoints/step=*")}
+
+
 def wait_until(condition, timeout=90):
     deadline = time.monotonic() + timeout
     while not condition():

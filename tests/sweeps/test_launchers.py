@@ -13,6 +13,7 @@ from support.sweep_processes import (
     SLOW,
     begin,
     errors_by_label,
+    saved,
     stages,
     sweep,
     trained,
@@ -90,7 +91,7 @@ def test_every_run_is_trained_failures_are_reported_and_nothing_is_done_twice(tm
 @pytest.mark.slow
 def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path):
     process = begin(tmp_path, "seeds=3", *SLOW, *SLURM)
-    wait_until(lambda: any(tmp_path.glob("*/*/*/checkpoints/step=*")))
+    wait_until(lambda: saved(tmp_path))
     process.kill()
     process.communicate()
     sweep(tmp_path, "seeds=3", *SLOW, *SLURM, timeout=300)
@@ -107,7 +108,7 @@ def test_ctrl_c_saves_what_is_under_way(tmp_path):
     process.communicate(timeout=30)
     assert process.returncode == 130
     wait_until(lambda: "running" not in stages(tmp_path))
-    assert any(tmp_path.glob("*/*/*/checkpoints/step=*"))
+    assert saved(tmp_path)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from support.sweep_processes import (
     SLOW,
     begin,
     errors_by_label,
+    saved,
     stages,
     statuses,
     sweep,
@@ -104,9 +105,7 @@ def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
 @pytest.mark.slow
 def test_no_worker_outlives_a_sweep_that_is_killed_and_a_rerun_resumes_it(tmp_path):
     process = begin(tmp_path, "seeds=3", *SLOW, *TWO)
-    wait_until(
-        lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2
-    )
+    wait_until(lambda: len(saved(tmp_path)) == 2)
     assert len(workers(tmp_path)) == 2
     process.kill()
     process.communicate()
@@ -131,7 +130,7 @@ def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
     assert errors.splitlines()[-1] == "stopped; rerun the same command to resume"
     assert workers(tmp_path) == []
     assert stages(tmp_path) == ["interrupted", "interrupted"]
-    assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 2
+    assert len(saved(tmp_path)) == 2
 
 
 @pytest.mark.slow
@@ -153,9 +152,7 @@ def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
     other = begin(tmp_path, "seeds=2", *SLOW, *TWO)
     wait_until(lambda: stages(tmp_path).count("running") == 2)
     ours = begin(tmp_path, "seeds=2", *SLOW, *TWO)
-    wait_until(
-        lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2
-    )
+    wait_until(lambda: len(saved(tmp_path)) == 2)
     time.sleep(3)
     assert ours.poll() is None  # it waits, though there is nothing for it to run
     other.kill()
@@ -304,4 +301,4 @@ def test_a_worker_that_slurm_signals_twice_still_saves_its_checkpoint(tmp_path):
     os.kill(worker, signal.SIGTERM)
     process.communicate(timeout=30)
     assert stages(tmp_path) == ["interrupted"]
-    assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 1
+    assert len(saved(tmp_path)) == 1

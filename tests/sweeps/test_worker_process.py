@@ -17,6 +17,7 @@ from support.sweep_processes import (
     SLOW,
     begin,
     is_alive,
+    saved,
     stages,
     statuses,
     sweep,
@@ -147,9 +148,7 @@ def test_the_server_outlives_signals_and_ends_with_a_sweep_that_is_killed(tmp_pa
 @FORKED
 def test_runs_whose_server_is_killed_end_and_the_next_sweep_resumes_them(tmp_path):
     process = begin(tmp_path, *TWO, *SLOW)
-    wait_until(
-        lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2
-    )
+    wait_until(lambda: len(saved(tmp_path)) == 2)
     pids = workers(tmp_path)
     (server,) = {psutil.Process(worker).ppid() for worker in pids}
     psutil.Process(server).kill()
