@@ -19,6 +19,7 @@ LOTS = {
     "parking_exp/Bays-v0": "parking_bays",
     "parking_exp/Angled-v0": "parking_angled",
     "parking_exp/DeadEnd-v0": "parking_dead_end",
+    "parking_exp/Lots-v0": "parking_lots",
 }
 """Ids of the environments, and the options of the config group `env` that describe them."""
 
@@ -44,7 +45,7 @@ def make_lot(
 
     of_level = [] if level is None else [f"env.level={level}"]
     config = compose(f"env={env}", *of_level, *overrides).env
-    if not isinstance(config, ParkingConfig) or config.lot is None:
+    if not isinstance(config, ParkingConfig) or not config.parametric_lots:
         raise ConfigError(f"env={config.name}: it has no lot of its own")
     return make_env(config, render_mode=render_mode)
 

@@ -18,6 +18,7 @@ from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 LOTS = (
     ["env=parking_parallel", "env.level=hard"],
     ["env=parking_bays", "env.level=normal"],
+    ["env=parking_lots", "env.level=normal"],
     ["env=parking_crowded", "env.obstacles=3"],
 )
 

@@ -23,7 +23,7 @@ from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end")
 LEVELS = ("easy", "normal", "hard", "extreme")
-VARIANTS = [(lot, level) for lot in LOTS for level in LEVELS]
+VARIANTS = [(lot, level) for lot in (*LOTS, "parking_lots") for level in LEVELS]
 
 
 def env_config(lot, *overrides):
@@ -175,7 +175,7 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
             "env.lot.aisle_width_m=5: cars that start within env.lot.starts need 11.4 m",
         ),
         (["lot.starts.x_m=[-60,0]"], "cars would start in the walls, which are at -40 and 40 m"),
-        (["vehicles_count=16"], "env.vehicles_count=16: the lot has 16 slots, and one is the goal"),
+        (["vehicles_count=16"], "env.vehicles_count=16: env.lot has 16 slots, and one is the goal"),
         (["vehicles_count=[1,9]"], "env.lot.neighbours=taken needs two cars or more"),
         (
             ["lot.slots_per_row=2", "lot.starts.x_m=[-5,5]", "vehicles_count=2"],

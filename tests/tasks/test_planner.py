@@ -16,7 +16,7 @@ from parking_exp.tasks.parking.scene_shapes import scene_shapes
 from parking_exp.tasks.registry import make_task
 
 TIGHT = ("env=parking_parallel", "env.level=extreme")
-LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end")
+LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end", "parking_lots")
 
 
 def make_planner(*overrides, seed=0, **arguments):

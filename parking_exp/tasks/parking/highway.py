@@ -59,7 +59,7 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
 
 def _make_lot(config: ParkingConfig, render_mode: str | None) -> gym.Env:
     """Make an env that shows the pose of the car only."""
-    if config.lot is not None:
+    if config.parametric_lots:
         from parking_exp.tasks.parking.lot_env import LotEnv
 
         return OrderEnforcing(LotEnv(config, render_mode))
@@ -126,6 +126,6 @@ class HighwayBatch(EnvBatch):
         car = lot.vehicle
         goal = car.goal.position, car.goal.heading
         slot_size = (SLOT_LENGTH_M, SLOT_WIDTH_M)
-        if self.config.lot is not None:
+        if self.config.parametric_lots:
             slot_size = lot.slot_size
         return relative_pose(car.position, car.heading, car.speed, *goal, slot_size)

@@ -1,7 +1,11 @@
-"""Lots: the geometry of parking-v0's own lot and of parametric ones, and how scenes are drawn."""
+"""Lots: the geometry of parking-v0's own lot, of parametric ones and of several in one env, and how
+scenes are drawn.
+"""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -37,13 +41,54 @@ class HighwayLot:
         return self.from_seeds([0])
 
 
-class ParametricLot:
+class DrawnLot(ABC):
+    """A lot whose scenes are made from numbers, uniform in [0, 1).
+
+    The numbers of `env.reset(seed=s)` are
+    `gymnasium.utils.seeding.np_random(s)[0].random(n_draws)`.
+
+    Attributes:
+        vehicles_range: the lowest and the highest number of parked cars.
+        n_draws: how many numbers make a scene.
+        nearest_row_m: no slot's centre is nearer to the middle of the box, along y.
+        size_m: length and width of the largest box.
+        same_walls: whether all scenes have the same walls.
+        turned: whether the lot equals itself when it is turned by 180 degrees.
+        handed: whether walls and slots differ when they are mirrored, x to -x.
+    """
+
+    vehicles_range: tuple[int, int]
+    n_draws: int
+    nearest_row_m: float
+    size_m: tuple[float, float]
+    same_walls: bool
+    turned: bool
+    handed: bool
+
+    @abstractmethod
+    def scenes(self, draws: np.ndarray) -> Scenes:
+        """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
+
+    def from_seeds(self, seeds: Sequence[int]) -> Scenes:
+        """Return the scenes of `env.reset(seed=s)`."""
+        draws = np.empty((len(seeds), self.n_draws))
+        for row, seed in enumerate(seeds):
+            # What gymnasium's `np_random(seed)` makes.
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
+            draws[row] = rng.random(self.n_draws)
+        return self.scenes(draws)
+
+    def random(self, rng: np.random.Generator, n: int) -> Scenes:
+        """Draw scenes of the same distribution, many at once."""
+        return self.scenes(rng.random((n, self.n_draws)))
+
+
+class ParametricLot(DrawnLot):
     """Rows of slots along an aisle; see `LotConfig`.
 
-    A scene is made from `n_draws` numbers, uniform in [0, 1): those of `env.reset(seed=s)` are
-    `gymnasium.utils.seeding.np_random(s)[0].random(n_draws)`. In this order they choose length and
-    width of the slots, width of the aisle; x, y and heading of the start; the goal; the number of
-    parked cars; and one for each slot the order in which cars take the slots, lowest first.
+    The numbers of a scene choose, in this order, length and width of the slots, width of the aisle;
+    x, y and heading of the start; the goal; the number of parked cars; and one for each slot the
+    order in which cars take the slots, lowest first.
     """
 
     def __init__(self, config: LotConfig, vehicles_range: tuple[int, int]) -> None:
@@ -67,19 +112,8 @@ class ParametricLot:
         self.size_m = (length, width)
         self.same_walls = smallest == largest
         self.nearest_row_m = float(np.abs(scenes.slots[..., 1]).min()) - TINY
-
-    def from_seeds(self, seeds: Sequence[int]) -> Scenes:
-        """Return the scenes of `env.reset(seed=s)`."""
-        draws = np.empty((len(seeds), self.n_draws))
-        for row, seed in enumerate(seeds):
-            # What gymnasium's `np_random(seed)` makes.
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
-            draws[row] = rng.random(self.n_draws)
-        return self.scenes(draws)
-
-    def random(self, rng: np.random.Generator, n: int) -> Scenes:
-        """Draw scenes of the same distribution, many at once."""
-        return self.scenes(rng.random((n, self.n_draws)))
+        self.turned = config.turned
+        self.handed = config.handed
 
     def typical(self) -> Scenes:
         """Return one scene, with the middle of all ranges, for drawings of the lot."""
@@ -163,17 +197,76 @@ class ParametricLot:
         return taken
 
 
+class SeveralLots(DrawnLot):
+    """Several lots, on one of which each scene is.
+
+    The first number of a scene chooses the lot. The numbers after it are those of that lot.
+    """
+
+    def __init__(self, lots: Sequence[ParametricLot]) -> None:
+        self.lots = lots
+        self.n_draws = 1 + max(lot.n_draws for lot in lots)
+        self.n_slots = max(lot.config.n_slots for lot in lots)
+        fewest, most = zip(*[lot.vehicles_range for lot in lots], strict=True)
+        self.vehicles_range = (min(fewest), max(most))
+        self.nearest_row_m = min(lot.nearest_row_m for lot in lots)
+        lengths, widths = zip(*[lot.size_m for lot in lots], strict=True)
+        self.size_m = (max(lengths), max(widths))
+        self.same_walls = False
+        self.turned = all(lot.turned for lot in lots)
+        self.handed = any(lot.handed for lot in lots)
+
+    def numbers(self, draws: np.ndarray) -> np.ndarray:
+        """Return the numbers of the lots that scenes are on, shape (n,)."""
+        return (draws[:, 0] * len(self.lots)).astype(np.int64)
+
+    def scenes(self, draws: np.ndarray) -> Scenes:
+        """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
+        number = self.numbers(draws)
+        parts = []
+        for index, lot in enumerate(self.lots):
+            of_lot = draws[number == index, 1 : 1 + lot.n_draws]
+            parts.append(self._of_equal_shape(lot.scenes(of_lot)))
+        # From the order of the lots back to that of the scenes.
+        place = np.argsort(np.argsort(number, kind="stable"))
+        arrays = {}
+        for name in vars(parts[0]):
+            arrays[name] = np.concatenate([getattr(part, name) for part in parts])[place]
+        return Scenes(**arrays)
+
+    def _of_equal_shape(self, scenes: Scenes) -> Scenes:
+        """Return scenes with as many places for slots and parked cars as the largest lot has.
+
+        What is missing of the slots is their last one again, and of the cars NO_SLOT.
+        """
+        n, n_slots, _ = scenes.slots.shape
+        _, most = self.vehicles_range
+        slot = np.minimum(np.arange(self.n_slots), n_slots - 1)
+        vehicles = np.full((n, most), NO_SLOT)
+        vehicles[:, : scenes.vehicles.shape[1]] = scenes.vehicles
+        return replace(scenes, slots=scenes.slots[:, slot], vehicles=vehicles)
+
+
 def _scaled(draws: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """Return numbers in [0, 1), shape (n, k), scaled to k ranges, shape (k, 2)."""
     low, high = ranges.T
     return low + draws * (high - low)
 
 
-Lot = HighwayLot | ParametricLot
+Lot = HighwayLot | ParametricLot | SeveralLots
 
 
 def lot_of(config: ParkingConfig) -> Lot:
-    """Return the lot of an `env` group."""
-    if config.lot is None:
-        return HighwayLot(config.vehicles_range, config.obstacles)
-    return ParametricLot(config.lot, config.vehicles_range)
+    """Return the lot of an `env` group, or its lots in one."""
+    lots = config.parametric_lots.values()
+    if lots:
+        return drawn_lot(lots, config.vehicles_count)
+    return HighwayLot(config.vehicles_range, config.obstacles)
+
+
+def drawn_lot(configs: Iterable[LotConfig], vehicles_count: Any) -> ParametricLot | SeveralLots:
+    """Return a lot, or several in one; `vehicles_count` is that of the env."""
+    lots = [ParametricLot(config, config.vehicles_range(vehicles_count)) for config in configs]
+    if len(lots) == 1:
+        return lots[0]
+    return SeveralLots(lots)

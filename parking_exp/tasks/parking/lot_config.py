@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -12,6 +12,7 @@ from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, extent
 
 TINY = 1e-9
 MAX_M = 1000.0
+Number = TypeVar("Number", int, float)
 GAP_M = 0.5  # from the slots to the wall behind them, and beside the last one of a dead end
 
 
@@ -30,12 +31,25 @@ def _check_order(value: list[float]) -> list[float]:
     return value
 
 
+def _check_vehicles_count(value: Any) -> Any:
+    """Refuse what is neither a number of cars nor a range."""
+    low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
+    if not (type(low) is type(high) is int and 0 <= low <= high):
+        raise ValueError("give a number of cars, or the lowest and the highest: [0, 20]")
+    return value
+
+
+def _is_missing(value: Any) -> bool:
+    return value is None
+
+
 Metres = Annotated[float, Field(gt=0, le=MAX_M)]
 Drawn = Annotated[Any, AfterValidator(_check_drawn)]
 Ordered = Annotated[Bounds, AfterValidator(_check_order)]
+VehiclesCount = Annotated[Any, AfterValidator(_check_vehicles_count)]
 
 
-def bounds(value: float | list[float]) -> tuple[float, float]:
+def bounds(value: Number | list[Number]) -> tuple[Number, Number]:
     """Return the lowest and the highest value of a number or a range."""
     if isinstance(value, list):
         low, high = value
@@ -74,6 +88,8 @@ class LotConfig(ConfigModel):
     heading: Literal["in", "out"]
     neighbours: Literal["any", "taken"]
     starts: StartsConfig
+    # None: that of the env. Left out of stored configs then.
+    vehicles_count: Annotated[VehiclesCount, Field(exclude_if=_is_missing)] = None
 
     @property
     def n_slots(self) -> int:
@@ -89,6 +105,15 @@ class LotConfig(ConfigModel):
     def handed(self) -> bool:
         """Whether walls and slots differ when they are mirrored, x to -x."""
         return self.dead_end or self.angle_deg not in (0, 90)
+
+    def vehicles_range(self, of_env: Any) -> tuple[int, int]:
+        """Return the lowest and the highest number of parked cars of a scene.
+
+        `of_env` is the `vehicles_count` of the env, for a lot that has none.
+        """
+        if self.vehicles_count is None:
+            return bounds(of_env)
+        return bounds(self.vehicles_count)
 
     def closest_pitch_m(
         self, slot_length_m: np.ndarray | float, slot_width_m: np.ndarray | float
@@ -120,36 +145,39 @@ class LotConfig(ConfigModel):
         half: np.ndarray = (slot + (self.slots_per_row - 1) * pitch) / 2
         return half
 
-    def problems(self, vehicles: tuple[int, int], *, walls: bool) -> Iterator[str]:
+    def problems(self, key: str, vehicles: tuple[int, int], *, walls: bool) -> Iterator[str]:
         """Yield a sentence for each reason why there can't be such a lot.
 
-        `vehicles` are the lowest and the highest number of parked cars.
+        Args:
+            key: of the section that describes the lot, such as `env.lot`.
+            vehicles: the lowest and the highest number of parked cars.
+            walls: whether there are walls around the lot.
         """
-        yield from self._slot_problems()
-        yield from self._start_problems(walls)
-        yield from self._vehicle_problems(vehicles)
+        yield from self._slot_problems(key)
+        yield from self._start_problems(key, walls)
+        yield from self._vehicle_problems(key, vehicles)
 
-    def _slot_problems(self) -> Iterator[str]:
+    def _slot_problems(self, key: str) -> Iterator[str]:
         sides = (("slot_length_m", CAR_LENGTH_M, "long"), ("slot_width_m", CAR_WIDTH_M, "wide"))
-        for key, car_m, word in sides:
-            lowest, _ = bounds(getattr(self, key))
+        for side, car_m, word in sides:
+            lowest, _ = bounds(getattr(self, side))
             if lowest <= car_m:
-                yield f"env.lot.{key}={lowest:g}: the car is {car_m:g} m {word}"
+                yield f"{key}.{side}={lowest:g}: the car is {car_m:g} m {word}"
         _, length = bounds(self.slot_length_m)
         _, width = bounds(self.slot_width_m)
         needed = float(self.closest_pitch_m(length, width))
         if self.pitch_m is not None and self.pitch_m < needed - TINY:
-            yield f"env.lot.pitch_m={self.pitch_m:g}: slots overlap below {needed:.3g} m"
+            yield f"{key}.pitch_m={self.pitch_m:g}: slots overlap below {needed:.3g} m"
 
-    def _start_problems(self, walls: bool) -> Iterator[str]:
+    def _start_problems(self, key: str, walls: bool) -> Iterator[str]:
         starts = self.starts
         along, across = self._start_extent()
         aisle, _ = bounds(self.aisle_width_m)
         farthest = max(map(abs, starts.y_m)) + across
         if farthest >= aisle / 2:
             yield (
-                f"env.lot.aisle_width_m={aisle:g}: cars that start within "
-                f"env.lot.starts need {2 * farthest:.3g} m"
+                f"{key}.aisle_width_m={aisle:g}: cars that start within "
+                f"{key}.starts need {2 * farthest:.3g} m"
             )
         right = GAP_M if self.dead_end else self.end_m
         length, _ = bounds(self.slot_length_m)
@@ -159,7 +187,7 @@ class LotConfig(ConfigModel):
         outside = starts.x_m[0] - along <= ends[0] or starts.x_m[1] + along >= ends[1]
         if walls and outside:
             yield (
-                f"env.lot.starts.x_m={starts.x_m}: cars would start in the walls, which are at "
+                f"{key}.starts.x_m={starts.x_m}: cars would start in the walls, which are at "
                 f"{ends[0]:.3g} and {ends[1]:.3g} m"
             )
 
@@ -172,13 +200,14 @@ class LotConfig(ConfigModel):
         along, across = extent(np.array([np.cos(angles), np.sin(angles)])).max(axis=1)
         return float(along), float(across)
 
-    def _vehicle_problems(self, vehicles: tuple[int, int]) -> Iterator[str]:
+    def _vehicle_problems(self, key: str, vehicles: tuple[int, int]) -> Iterator[str]:
         low, high = vehicles
+        count = f"{key}.vehicles_count"
+        if self.vehicles_count is None:
+            count = "env.vehicles_count"
         if high >= self.n_slots:
-            yield (
-                f"env.vehicles_count={high}: the lot has {self.n_slots} slots, and one is the goal"
-            )
+            yield f"{count}={high}: {key} has {self.n_slots} slots, and one is the goal"
         if self.neighbours == "taken" and low < 2:
-            yield f"env.vehicles_count={low}: env.lot.neighbours=taken needs two cars or more"
+            yield f"{count}={low}: {key}.neighbours=taken needs two cars or more"
         if self.neighbours == "taken" and self.slots_per_row < 3:
-            yield "env.lot.slots_per_row: env.lot.neighbours=taken needs three slots or more"
+            yield f"{key}.slots_per_row: {key}.neighbours=taken needs three slots or more"

@@ -5,14 +5,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from operator import not_
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, PositiveFloat
+from omegaconf import OmegaConf
+from pydantic import Field, PositiveFloat, model_validator
 
 from parking_exp.config_model import Bounds, ConfigModel, Duration, Pixels, Range
-from parking_exp.tasks.parking.lot_config import LotConfig
+from parking_exp.tasks.parking.lot_config import LotConfig, VehiclesCount, bounds
 from parking_exp.tasks.task_config import TaskConfig
 
 ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
+LotName = Annotated[str, Field(pattern=r"^\w+$")]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 OUR_KEYS = {
     "task",
@@ -25,20 +27,13 @@ OUR_KEYS = {
     "starts",
     "obstacles",
     "lot",
+    "lots",
     "level",
     "levels",
 }
 OUR_OBSERVATION_KEYS = {"vehicles_count", "rays", "rays_range_m"}
 RAYS_RANGE_M = 10.0  # of the config and of the wrapper, unless another is given
 MAX_VEHICLES = 26  # slots but for those of start and goal
-
-
-def _check_vehicles_count(value: Any) -> Any:
-    """Refuse what is neither a number of cars nor a range."""
-    low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
-    if not (type(low) is type(high) is int and 0 <= low <= high):
-        raise ValueError("give a number of cars, or the lowest and the highest: [0, 20]")
-    return value
 
 
 class ObservationConfig(ConfigModel):
@@ -120,6 +115,8 @@ class ParkingConfig(TaskConfig):
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
     # None: highway-env's own lot. Left out of stored configs then.
     lot: Annotated[LotConfig | None, Field(exclude_if=not_)] = None
+    # Each scene is on one of them; they are complete, and `lot` is None. Left out likewise.
+    lots: Annotated[dict[LotName, LotConfig] | None, Field(exclude_if=not_)] = None
     # `lot` takes its numbers from one of the levels, by interpolation.
     level: Annotated[str | None, Field(exclude_if=not_)] = None
     levels: Annotated[dict[str, dict[str, Any]] | None, Field(exclude=True)] = None
@@ -136,7 +133,7 @@ class ParkingConfig(TaskConfig):
     # episode_steps() counts duration x policy_frequency steps.
     policy_frequency: Annotated[int, Field(ge=1, le=100)]
     duration: Duration
-    vehicles_count: Annotated[Any, AfterValidator(_check_vehicles_count)]
+    vehicles_count: VehiclesCount
     add_walls: bool
     other_vehicles_type: Literal["highway_env.vehicle.behavior.IDMVehicle"]
     neighbour_vehicles_connected_lanes: bool
@@ -148,6 +145,29 @@ class ParkingConfig(TaskConfig):
     render_agent: bool
     offscreen_rendering: bool | None
     real_time_rendering: bool
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_lots(cls, data: Any) -> Any:
+        """Complete each of several lots by what they share, which is `lot`."""
+        lots = data.get("lots")
+        shared = data.get("lot") or {}
+        if not lots or not isinstance(lots, Mapping) or not isinstance(shared, Mapping):
+            return data
+        complete = dict(lots)
+        for name, lot in lots.items():
+            if isinstance(lot, Mapping):
+                complete[name] = OmegaConf.to_container(OmegaConf.merge(shared, lot))
+        return {**data, "lot": None, "lots": complete}
+
+    @property
+    def parametric_lots(self) -> dict[str, LotConfig]:
+        """The lots of scenes by the keys of their sections; none for highway-env's own lot."""
+        if self.lots:
+            return {f"env.lots.{name}": lot for name, lot in self.lots.items()}
+        if self.lot is not None:
+            return {"env.lot": self.lot}
+        return {}
 
     def for_training(self) -> Self:
         """Return the config of training envs: `training_duration` and
@@ -175,10 +195,13 @@ class ParkingConfig(TaskConfig):
     @property
     def vehicles_range(self) -> tuple[int, int]:
         """The lowest and the highest number of parked cars of a scene."""
-        if isinstance(self.vehicles_count, int):
-            return self.vehicles_count, self.vehicles_count
-        low, high = self.vehicles_count
-        return low, high
+        lots = self.parametric_lots.values()
+        if not lots:
+            return bounds(self.vehicles_count)
+        lowest, highest = zip(
+            *[lot.vehicles_range(self.vehicles_count) for lot in lots], strict=True
+        )
+        return min(lowest), max(highest)
 
     def episode_steps(self) -> int:
         """Return the longest episode in policy steps, counted like highway-env does: by adding
@@ -215,20 +238,27 @@ class ParkingConfig(TaskConfig):
         # A stored config has the numbers of its level, and no levels.
         if self.level and self.levels and self.level not in self.levels:
             yield f"env.level={self.level}: choose from {', '.join(self.levels)}"
-        if self.lot is None and self.vehicles_range[1] > MAX_VEHICLES:
+        lots = self.parametric_lots
+        if not lots and self.vehicles_range[1] > MAX_VEHICLES:
             yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"
-        if self.lot is not None:
-            yield from self.lot.problems(self.vehicles_range, walls=self.add_walls)
-            if self.obstacles:
-                yield f"env.obstacles={self.obstacles}: highway-env's own lot only has obstacles"
+        if lots and self.obstacles:
+            yield f"env.obstacles={self.obstacles}: highway-env's own lot only has obstacles"
+        for key, lot in lots.items():
+            vehicles = lot.vehicles_range(self.vehicles_count)
+            yield from lot.problems(key, vehicles, walls=self.add_walls)
 
     def change_problems(self, changes: Mapping[str, Any]) -> Iterator[str]:
-        """Yield what is wrong with another level, whose numbers a stored run does not have."""
+        """Yield what is wrong with changes of keys that a stored run does not have: the numbers of
+        other levels, and what its lots share.
+        """
         if "level" in changes:
             yield (
                 f"env.level={changes['level']}: a run keeps the numbers of its own level only; "
                 f"add env={self.name}"
             )
+        if self.lots and "lot" in changes:
+            sections = ", ".join(self.parametric_lots)
+            yield f"env.lot: a run keeps its lots one by one; change {sections}"
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield nothing: all features and all arguments of the buffer are supported."""

@@ -10,7 +10,7 @@ import pandas as pd
 
 from parking_exp.figure_style import SectionFigure
 from parking_exp.tasks.metrics import EPISODE_SEED
-from parking_exp.tasks.parking.lot import Lot
+from parking_exp.tasks.parking.lot import Lot, SeveralLots
 from parking_exp.tasks.parking.lot_figures import (
     LotDrawing,
     draw_paths,
@@ -66,7 +66,9 @@ def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, 
     seeds = tuple(episodes["scene"].unique().tolist())
     scenes = _scenes(lot, seeds)
     goals = dict(zip(seeds, scenes.goal.tolist(), strict=True))
-    by_section: dict[str, Any] = {"slots": outcome_rates(episodes, "slot", goals)}
+    by_section: dict[str, Any] = {}
+    if not isinstance(lot, SeveralLots):  # each of them numbers its own slots
+        by_section["slots"] = outcome_rates(episodes, "slot", goals)
     low, high = lot.vehicles_range
     if low < high:
         numbers = (scenes.vehicles != NO_SLOT).sum(axis=1)
@@ -75,8 +77,8 @@ def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, 
     return by_section
 
 
-def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing:
-    """Return what figures show of a cell's lot.
+def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing | None:
+    """Return what figures show of a cell's lot; None if it has several, which no picture shows.
 
     Where slots differ from scene to scene, each path is moved so that its goal is the slot that is
     drawn.
@@ -87,6 +89,8 @@ def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing:
         config: of the cell, by dotted keys.
     """
     lot = stored_lot(config)
+    if isinstance(lot, SeveralLots):
+        return None
     typical = lot.typical()
     columns = [EPISODE_SEED, "step", "outcome", *PATH_COLUMNS]
     on_lot = paths.reindex(columns=columns).dropna(ignore_index=True)

@@ -11,7 +11,7 @@ import numpy as np
 from parking_exp.tasks.parking.driven_path import DrivenBatch
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
-from parking_exp.tasks.parking.lot import lot_of
+from parking_exp.tasks.parking.lot import DrawnLot, lot_of
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.simulator import Simulator
@@ -93,14 +93,14 @@ class ParkingTask(Task):
             MirroredEgoFrameExtractor,
         )
 
-        lot = self.config.lot
+        lot = lot_of(self.config)
         ego: dict[str, Any] = {}
         if self.config.observation.rays:
             ego["rays"] = self.config.observation.rays
         fine: dict[str, Any] = {"reward_weights": list(self.config.reward_weights)}
         mirrored: dict[str, Any] = {}
-        if lot is not None:
-            ego["lot_size_m"] = lot_of(self.config).size_m
+        if isinstance(lot, DrawnLot):  # the defaults are those of highway-env's own lot
+            ego["lot_size_m"] = lot.size_m
             fine["turned"] = lot.turned
             mirrored["handed"] = lot.handed
         extractors: dict[str, tuple[type, dict[str, Any]]] = {

@@ -108,6 +108,6 @@ class LotReward(ParkingReward):
 
 def reward_of(config: ParkingConfig) -> ParkingReward:
     """Return the reward of an `env` group."""
-    if config.lot is None:
-        return ParkingReward.of(config)
-    return LotReward.of(config)
+    if config.parametric_lots:
+        return LotReward.of(config)
+    return ParkingReward.of(config)

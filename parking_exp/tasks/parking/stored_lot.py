@@ -5,28 +5,34 @@ from typing import Any
 
 import pandas as pd
 import yaml
+from omegaconf import OmegaConf
 
-from parking_exp.tasks.parking.lot import HighwayLot, Lot, ParametricLot
+from parking_exp.tasks.parking.lot import HighwayLot, Lot, drawn_lot
 from parking_exp.tasks.parking.lot_config import LotConfig, bounds
-
-PREFIX = "env.lot."
 
 
 def stored_lot(config: Mapping[str, Any]) -> Lot:
-    """Return the lot of a config by dotted keys, as frames of results have it."""
-    vehicles = yaml.safe_load(str(config.get("env.vehicles_count", 0)))
-    low, high = bounds(vehicles)
-    vehicles_range = (int(low), int(high))
-    values: dict[str, Any] = {}
+    """Return the lot of a config by dotted keys, as frames of results have it, or its lots in
+    one.
+    """
+    nested = OmegaConf.create({"env": {"vehicles_count": 0}})
     for key, value in config.items():
-        if not key.startswith(PREFIX) or pd.isna(value):
-            continue
-        *sections, name = key.removeprefix(PREFIX).split(".")
-        section = values
-        for part in sections:
-            section = section.setdefault(part, {})
-        section[name] = yaml.safe_load(str(value))
-    if not values:
-        return HighwayLot(vehicles_range, n_obstacles=0)
-    # Frames turn whole numbers into floats where some cells have none.
-    return ParametricLot(LotConfig.model_validate(values, strict=False), vehicles_range)
+        if key.startswith(("env.lot.", "env.lots.", "env.vehicles_count")) and not pd.isna(value):
+            OmegaConf.update(nested, key, _parsed(value), force_add=True)
+    env: Any = OmegaConf.to_container(nested.env)
+    if "lots" in env:
+        sections = list(env["lots"].values())
+    elif "lot" in env:
+        sections = [env["lot"]]
+    else:
+        return HighwayLot(bounds(env["vehicles_count"]), n_obstacles=0)
+    lots = [LotConfig.model_validate(section) for section in sections]
+    return drawn_lot(lots, env["vehicles_count"])
+
+
+def _parsed(value: Any) -> Any:
+    """Return a value of a frame, where lists are text, and whole numbers may be floats."""
+    parsed = yaml.safe_load(str(value))
+    if isinstance(parsed, float) and parsed.is_integer():
+        return int(parsed)
+    return parsed
