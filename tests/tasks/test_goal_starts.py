@@ -7,7 +7,7 @@ from support.runs import make_config
 
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking import goal_starts
-from parking_exp.tasks.parking.contacts import touches
+from parking_exp.tasks.parking.contacts import FreeSpace
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, OBSTACLE_M, corners
 from parking_exp.tasks.parking.goal_starts import N_DRAWS, GoalStarts, drive
 from parking_exp.tasks.parking.lot import lot_of
@@ -21,6 +21,10 @@ LOTS = (
     ["env=parking_lots", "env.level=normal"],
     ["env=parking_crowded", "env.obstacles=3"],
 )
+
+
+def touches(scenes, poses, **arguments):
+    return FreeSpace(scenes, **arguments).touches(poses)
 
 
 def rectangle(pose, length, width):

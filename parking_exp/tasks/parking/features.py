@@ -284,3 +284,11 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
         is mirrored.
         """
         return torch.cat((actions[:, :-1], actions[:, -1:] * self.sign(observations)), dim=1)
+
+
+EXTRACTORS: dict[str, type[EgoFrameExtractor]] = {
+    "ego": EgoFrameExtractor,
+    "ego_fine": FineEgoFrameExtractor,
+    "ego_mirrored": MirroredEgoFrameExtractor,
+}
+"""By their names in the config."""

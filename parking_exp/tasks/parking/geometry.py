@@ -95,16 +95,24 @@ def may_overlap(
         direction, other_direction: cosine and sine of their headings.
         half_size, other_half_size: half their lengths and widths [m].
     """
-    turn = np.abs(_in_frame(other_direction, direction))
-    apart = np.abs(_in_frame(offset, direction)) - half_size
+    turn = np.abs(in_frame(other_direction, direction))
+    apart = np.abs(in_frame(offset, direction)) - half_size
     apart -= turn * other_half_size[0] + turn[::-1] * other_half_size[1]
-    other_apart = np.abs(_in_frame(offset, other_direction)) - other_half_size
+    other_apart = np.abs(in_frame(offset, other_direction)) - other_half_size
     other_apart -= turn * half_size[0] + turn[::-1] * half_size[1]
     mask: np.ndarray = np.maximum(apart, other_apart).max(axis=0) < TINY_M
     return mask
 
 
-def _in_frame(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def direction_of(heading: np.ndarray) -> np.ndarray:
+    """Return the cosine and the sine of headings, shape (2, ...)."""
+    direction = np.empty((2, *heading.shape))
+    np.cos(heading, out=direction[0])
+    np.sin(heading, out=direction[1])
+    return direction
+
+
+def in_frame(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return vectors along and across some directions, all of shape (2, ...)."""
     x, y = vector
     cos, sin = direction

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from parking_exp.tasks.parking.contacts import touches
+from parking_exp.tasks.parking.contacts import FreeSpace
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import Lot, lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
@@ -68,12 +68,13 @@ class GoalStarts:
         fractions = np.linspace(0.0, 1.0, N_POINTS + 1)
         rows = np.arange(len(scenes))
 
+        space = FreeSpace(scenes, walls=self.walls, margin_m=MARGIN_M)
         pose = scenes.goal_pose
         for arc in range(n_arcs.max(initial=0)):
             direction = first_direction * (-1.0) ** arc
             driven = (direction * length_m[:, arc])[:, None] * fractions
             path = drive(pose[:, None], self.slips[choice[:, arc], None], driven)
-            ends = touches(scenes, path[:, 1:], walls=self.walls, margin_m=MARGIN_M)
+            ends = space.touches(path[:, 1:])
             ends[arc >= n_arcs] = True
             # The point before the first contact.
             last = np.where(ends.any(axis=1), ends.argmax(axis=1), N_POINTS)

@@ -42,28 +42,13 @@ class HighwayLot:
 
 
 class DrawnLot(ABC):
-    """A lot whose scenes are made from numbers, uniform in [0, 1).
+    """A lot whose scenes are made from `n_draws` numbers, uniform in [0, 1).
 
     The numbers of `env.reset(seed=s)` are
     `gymnasium.utils.seeding.np_random(s)[0].random(n_draws)`.
-
-    Attributes:
-        vehicles_range: the lowest and the highest number of parked cars.
-        n_draws: how many numbers make a scene.
-        nearest_row_m: no slot's centre is nearer to the middle of the box, along y.
-        size_m: length and width of the largest box.
-        same_walls: whether all scenes have the same walls.
-        turned: whether the lot equals itself when it is turned by 180 degrees.
-        handed: whether walls and slots differ when they are mirrored, x to -x.
     """
 
-    vehicles_range: tuple[int, int]
     n_draws: int
-    nearest_row_m: float
-    size_m: tuple[float, float]
-    same_walls: bool
-    turned: bool
-    handed: bool
 
     @abstractmethod
     def scenes(self, draws: np.ndarray) -> Scenes:
@@ -94,6 +79,8 @@ class ParametricLot(DrawnLot):
     def __init__(self, config: LotConfig, vehicles_range: tuple[int, int]) -> None:
         self.config = config
         self.vehicles_range = vehicles_range
+        self.turned = config.turned
+        self.handed = config.handed
         self.n_draws = N_LENGTHS + 5 + config.n_slots
         lengths = (config.slot_length_m, config.slot_width_m, config.aisle_width_m)
         self._lengths = np.array([bounds(value) for value in lengths])
@@ -112,8 +99,6 @@ class ParametricLot(DrawnLot):
         self.size_m = (length, width)
         self.same_walls = smallest == largest
         self.nearest_row_m = float(np.abs(scenes.slots[..., 1]).min()) - TINY
-        self.turned = config.turned
-        self.handed = config.handed
 
     def typical(self) -> Scenes:
         """Return one scene, with the middle of all ranges, for drawings of the lot."""

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from parking_exp.config_model import Bounds, ConfigModel
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, extent
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, direction_of, extent
 
 TINY = 1e-9
 MAX_M = 1000.0
@@ -16,9 +16,17 @@ Number = TypeVar("Number", int, float)
 GAP_M = 0.5  # from the slots to the wall behind them, and beside the last one of a dead end
 
 
+def bounds(value: Number | list[Number]) -> tuple[Number, Number]:
+    """Return the lowest and the highest value of a number or a range."""
+    if isinstance(value, list) and len(value) == 2:
+        low, high = value
+        return low, high
+    return value, value
+
+
 def _check_drawn(value: Any) -> float | list[float]:
     """Return a length, or the lowest and the highest of those that scenes draw."""
-    low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
+    low, high = bounds(value)
     numbers = {type(low), type(high)} <= {int, float}
     if not (numbers and 0 < low <= high <= MAX_M):
         raise ValueError("give a length in metres, or the lowest and the highest: [6, 7]")
@@ -33,7 +41,7 @@ def _check_order(value: list[float]) -> list[float]:
 
 def _check_vehicles_count(value: Any) -> Any:
     """Refuse what is neither a number of cars nor a range."""
-    low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
+    low, high = bounds(value)
     if not (type(low) is type(high) is int and 0 <= low <= high):
         raise ValueError("give a number of cars, or the lowest and the highest: [0, 20]")
     return value
@@ -47,14 +55,6 @@ Metres = Annotated[float, Field(gt=0, le=MAX_M)]
 Drawn = Annotated[Any, AfterValidator(_check_drawn)]
 Ordered = Annotated[Bounds, AfterValidator(_check_order)]
 VehiclesCount = Annotated[Any, AfterValidator(_check_vehicles_count)]
-
-
-def bounds(value: Number | list[Number]) -> tuple[Number, Number]:
-    """Return the lowest and the highest value of a number or a range."""
-    if isinstance(value, list):
-        low, high = value
-        return low, high
-    return value, value
 
 
 class StartsConfig(ConfigModel):
@@ -171,7 +171,10 @@ class LotConfig(ConfigModel):
 
     def _start_problems(self, key: str, walls: bool) -> Iterator[str]:
         starts = self.starts
-        along, across = self._start_extent()
+        low, high = starts.heading_deg
+        headings = np.radians(np.linspace(low, high, 1001))
+        # How far a car may reach at its start from its centre, along and across the aisle.
+        along, across = extent(direction_of(headings)).max(axis=1).tolist()
         aisle, _ = bounds(self.aisle_width_m)
         farthest = max(map(abs, starts.y_m)) + across
         if farthest >= aisle / 2:
@@ -190,15 +193,6 @@ class LotConfig(ConfigModel):
                 f"{key}.starts.x_m={starts.x_m}: cars would start in the walls, which are at "
                 f"{ends[0]:.3g} and {ends[1]:.3g} m"
             )
-
-    def _start_extent(self) -> tuple[float, float]:
-        """Return how far a car may reach at its start from its centre, along and across the
-        aisle.
-        """
-        low, high = self.starts.heading_deg
-        angles = np.radians(np.linspace(low, high, 1001))
-        along, across = extent(np.array([np.cos(angles), np.sin(angles)])).max(axis=1)
-        return float(along), float(across)
 
     def _vehicle_problems(self, key: str, vehicles: tuple[int, int]) -> Iterator[str]:
         low, high = vehicles

@@ -9,13 +9,12 @@ import numpy as np
 from gymnasium import spaces
 
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
-from parking_exp.tasks.parking.scenes import drawn_number
+from parking_exp.tasks.parking.scenes import FAR_M, drawn_number
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
 """Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the
 axes of the lot.
 """
-FAR_M = 1e6  # vehicles farther away than this count as absent
 
 
 def nearest_vehicles(

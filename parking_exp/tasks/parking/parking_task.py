@@ -11,7 +11,7 @@ import numpy as np
 from parking_exp.tasks.parking.driven_path import DrivenBatch
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
-from parking_exp.tasks.parking.lot import DrawnLot, lot_of
+from parking_exp.tasks.parking.lot import HighwayLot, lot_of
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.simulator import Simulator
@@ -87,28 +87,25 @@ class ParkingTask(Task):
 
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""
-        from parking_exp.tasks.parking.features import (
-            EgoFrameExtractor,
-            FineEgoFrameExtractor,
-            MirroredEgoFrameExtractor,
-        )
+        from parking_exp.tasks.parking.features import EXTRACTORS
 
-        lot = lot_of(self.config)
-        ego: dict[str, Any] = {}
+        if name not in EXTRACTORS:
+            return None
+        extractor = EXTRACTORS[name]
+        arguments: dict[str, Any] = {}
         if self.config.observation.rays:
-            ego["rays"] = self.config.observation.rays
-        fine: dict[str, Any] = {"reward_weights": list(self.config.reward_weights)}
-        mirrored: dict[str, Any] = {}
-        if isinstance(lot, DrawnLot):  # the defaults are those of highway-env's own lot
-            ego["lot_size_m"] = lot.size_m
-            fine["turned"] = lot.turned
-            mirrored["handed"] = lot.handed
-        extractors: dict[str, tuple[type, dict[str, Any]]] = {
-            "ego": (EgoFrameExtractor, ego),
-            "ego_fine": (FineEgoFrameExtractor, ego | fine),
-            "ego_mirrored": (MirroredEgoFrameExtractor, ego | fine | mirrored),
-        }
-        return extractors.get(name)
+            arguments["rays"] = self.config.observation.rays
+        if name != "ego":
+            arguments["reward_weights"] = list(self.config.reward_weights)
+        lot = lot_of(self.config)
+        if isinstance(lot, HighwayLot):  # its size and symmetries are the defaults
+            return extractor, arguments
+        arguments["lot_size_m"] = lot.size_m
+        if name != "ego":
+            arguments["turned"] = lot.turned
+        if name == "ego_mirrored":
+            arguments["handed"] = lot.handed
+        return extractor, arguments
 
     def positions(self, observation: Observation) -> dict[str, np.ndarray]:
         """Return the poses of the cars [m, rad]."""

@@ -5,7 +5,7 @@ adds it.
 import gymnasium as gym
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import Rectangles
+from parking_exp.tasks.parking.geometry import Rectangles, direction_of, in_frame
 from parking_exp.tasks.parking.nearby_vehicles import SeenByCar
 from parking_exp.tasks.parking.parking_config import RAYS_RANGE_M
 
@@ -28,9 +28,9 @@ def ray_distances(
         rays: their number.
         range_m: the largest distance that is seen [m].
     """
-    axis = np.array([np.cos(rectangles.heading), np.sin(rectangles.heading)])
+    axis = direction_of(rectangles.heading)
     half_size = np.moveaxis(rectangles.size, -1, 0) / 2
-    offset = _turn_back(position[..., None] - np.moveaxis(rectangles.centre, -1, 0), axis)
+    offset = in_frame(position[..., None] - np.moveaxis(rectangles.centre, -1, 0), axis)
     outside = np.maximum(np.abs(offset) - half_size, 0.0)
     near = (outside**2).sum(axis=0) < range_m**2
     scene, _ = np.nonzero(near)
@@ -38,8 +38,8 @@ def ray_distances(
     # In the frame of each rectangle that is near, a ray is for a while between the long sides, and
     # for a while between the short sides. It meets the rectangle when both hold.
     angle = np.arange(rays) * (2 * np.pi / rays)
-    heading = _turn_back(direction[:, scene], axis[:, near])
-    slope = _turn_back(heading[..., None], np.array([np.cos(angle), -np.sin(angle)])[:, None])
+    heading = in_frame(direction[:, scene], axis[:, near])
+    slope = in_frame(heading[..., None], direction_of(-angle)[:, None])
     slope[slope == 0] = _TINY
     metres = np.divide(1.0, slope, out=slope)  # along the ray, for one along or across
     middle = metres * -offset[:, near, None]
@@ -53,15 +53,6 @@ def ray_distances(
     seeing, first = np.unique(scene, return_index=True)  # pairs are in the order of scenes
     distances[seeing] = np.minimum.reduceat(enters, first, axis=0)
     return distances
-
-
-def _turn_back(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Return vectors in frames with the given directions of their first axis, all of shape
-    (2, ...).
-    """
-    x, y = vector
-    cos, sin = axis
-    return np.stack([x * cos + y * sin, y * cos - x * sin])
 
 
 class Rays(SeenByCar):

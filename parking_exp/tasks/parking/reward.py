@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from parking_exp.tasks.parking.geometry import in_frame
 from parking_exp.tasks.parking.parking_config import (
     DEFAULT_FEATURES,
     DEFAULT_SCALES,
@@ -78,20 +79,11 @@ class LotReward(ParkingReward):
             info: length and width of the slots, shape (..., 2) [m].
         """
         assert info is not None, "the size of the slot decides whether a car is parked"
-        cos = desired[..., 4]
-        sin = desired[..., 5]
-        x, y, vx, vy = np.moveaxis(achieved[..., :4] - desired[..., :4], -1, 0)
-        cos_error = achieved[..., 4] * cos + achieved[..., 5] * sin
-        sin_error = achieved[..., 5] * cos - achieved[..., 4] * sin
-        distances = [
-            cos * x + sin * y,
-            cos * y - sin * x,
-            cos * vx + sin * vy,
-            cos * vy - sin * vx,
-            1.0 - cos_error,
-            sin_error,
-        ]
-        ahead, side, _, _, _, _ = distances
+        slot = np.moveaxis(desired[..., 4:], -1, 0)  # cosine and sine of its heading
+        offset = np.moveaxis(achieved[..., :4] - desired[..., :4], -1, 0)
+        ahead, side = in_frame(offset[:2], slot)
+        vx, vy = offset[2:]
+        cos_error, sin_error = in_frame(np.moveaxis(achieved[..., 4:], -1, 0), slot)
         parked = is_parked(
             ahead * DEFAULT_SCALES[0],
             side * DEFAULT_SCALES[1],
@@ -102,8 +94,9 @@ class LotReward(ParkingReward):
         )
         if self.sparse:
             return np.where(parked, 0.0, -1.0), np.asarray(parked)
-        weighted = np.stack(distances, axis=-1)
-        return -np.sqrt(np.vecdot(np.abs(weighted), self.weights)), np.asarray(parked)
+        velocities = in_frame(offset[2:], slot)
+        distances = np.stack([ahead, side, *velocities, 1.0 - cos_error, sin_error], axis=-1)
+        return -np.sqrt(np.vecdot(np.abs(distances), self.weights)), np.asarray(parked)
 
 
 def reward_of(config: ParkingConfig) -> ParkingReward:

@@ -22,6 +22,7 @@ from parking_exp.tasks.parking.geometry import (
 )
 
 NO_SLOT = -1  # of a car that is absent, where a scene has fewer than others
+FAR_M = 1e6  # cars farther away than this count as absent
 # Half the length and width of the area: within the walls, outside of the slots.
 AISLE_M = np.array([33.0, 8.5])
 START_M = 6.0  # distance from the middle of the lot, where the car starts
@@ -75,8 +76,11 @@ class Scenes:
 
     @property
     def vehicle_pose(self) -> np.ndarray:
-        """Poses of the parked cars' slots, shape (n, vehicles, 3); of any slot for NO_SLOT."""
-        return self.slots[np.arange(len(self))[:, None], self.vehicles]
+        """Poses of the parked cars, shape (n, vehicles, 3); those of NO_SLOT are far away."""
+        poses = self.slots[np.arange(len(self))[:, None], self.vehicles]
+        row, vehicle = np.nonzero(self.vehicles == NO_SLOT)
+        poses[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other
+        return poses
 
     @staticmethod
     def from_seeds(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from parking_exp.tasks.parking.driven_path import REAR_AXLE_M
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, direction_of, in_frame
 
 SETTLING_M = 1.0  # the way on which errors across the path and of the heading settle
 GAIN = 0.5  # share of an error along the path that is corrected in a step
@@ -24,19 +24,17 @@ def controls(
         dt: length of a frame of the simulation [s].
         frames: of a policy step.
     """
-    x, y, vx, vy, cos, sin = poses.T
-    ref_x, ref_y, ref_heading, _, next_speed, curvature, forward = references.T
-    speed = vx * cos + vy * sin
+    position, velocity, direction = np.split(poses.T, 3)
+    ref_heading, _, next_speed, curvature, forward = references.T[2:]
+    speed, _ = in_frame(velocity, direction)
     # A frame moves the car in the direction at its beginning, so not the rear axle moves along the
     # heading, but a point before or behind it.
     rear = REAR_AXLE_M - speed * dt / 2
-    behind_x = ref_x - (x - rear * cos)
-    behind_y = ref_y - (y - rear * sin)
-    ref_cos = np.cos(ref_heading)
-    ref_sin = np.sin(ref_heading)
-    along = behind_x * ref_cos + behind_y * ref_sin
-    across = behind_y * ref_cos - behind_x * ref_sin
-    turned = np.arctan2(sin * ref_cos - cos * ref_sin, cos * ref_cos + sin * ref_sin)
+    ref_direction = direction_of(ref_heading)
+    behind = references.T[:2] - (position - rear * direction)
+    along, across = in_frame(behind, ref_direction)
+    cos_turned, sin_turned = in_frame(direction, ref_direction)
+    turned = np.arctan2(sin_turned, cos_turned)
 
     curvature = curvature + across / SETTLING_M**2 - 2 * forward * turned / SETTLING_M
     curvature = np.clip(curvature, -sharpest, sharpest)

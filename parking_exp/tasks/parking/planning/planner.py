@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
+from parking_exp.tasks.parking.contacts import FreeSpace
 from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, moved_ahead
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import RANGES, ParkingConfig
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.planning.controller import controls
-from parking_exp.tasks.parking.planning.free_space import FreeSpace
 from parking_exp.tasks.parking.planning.trajectory import Pace, trajectory
 from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.scripted_policy import ScriptedPolicy

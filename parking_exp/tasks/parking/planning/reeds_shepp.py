@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from ompl import base, geometric, util
 
-from parking_exp.tasks.parking.planning.free_space import FreeSpace
+from parking_exp.tasks.parking.contacts import FreeSpace
 
 RANGE_M = 0.5  # the longest new branch of a tree: in tight slots, longer ones hit something
 CHECK_M = 0.1  # between the poses of a motion that are tested
@@ -73,7 +73,7 @@ def _states_of(space: FreeSpace, radius_m: float) -> Any:
     """Return the poses between the walls, joined by curves with a smallest radius."""
     states = base.ReedsSheppStateSpace(radius_m)
     bounds = base.RealVectorBounds(2)
-    for axis, half in enumerate(space.half_box.tolist()):
+    for axis, half in enumerate(space.half_box[:, 0].tolist()):
         bounds.setLow(axis, -half)
         bounds.setHigh(axis, half)
     states.setBounds(bounds)

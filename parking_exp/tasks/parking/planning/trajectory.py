@@ -60,12 +60,14 @@ def _part(poses: np.ndarray, forward: float, pace: Pace) -> np.ndarray:
     covered = (speed[:-1] + speed[1:]) / 2 * pace.step_s
     reached = np.concatenate([[0.0], np.cumsum(covered)])
 
-    x, y, heading = (np.interp(reached, distance, column) for column in poses.T)
-    curvature = forward * np.diff(heading) / np.maximum(np.diff(reached), 1e-9)
-    columns = [x, y, heading, forward * speed]
-    parts = [column[:-1] for column in columns]
-    parts += [forward * speed[1:], curvature, np.full(len(curvature), forward)]
-    return np.stack(parts, axis=1)
+    part = np.full((len(reached), len(REFERENCE)), forward)
+    for column, values in enumerate(poses.T):
+        part[:, column] = np.interp(reached, distance, values)
+    turned = np.diff(part[:, 2])
+    part[:, 3] = forward * speed
+    part[:-1, 4] = forward * speed[1:]
+    part[:-1, 5] = forward * turned / np.maximum(np.diff(reached), 1e-9)
+    return part[:-1]
 
 
 def _speeds(distance: float, pace: Pace) -> np.ndarray:

@@ -6,9 +6,15 @@ from typing import Self
 
 import numpy as np
 
-from parking_exp.tasks.parking.nearby_vehicles import FAR_M
+from parking_exp.tasks.parking.geometry import (
+    Rectangles,
+    cars_at,
+    direction_of,
+    joined,
+    obstacles_at,
+)
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
-from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+from parking_exp.tasks.parking.scenes import Scenes
 
 SCALES = np.array(DEFAULT_SCALES, np.float64)
 COLUMNS = ("position", "direction", "free")
@@ -57,9 +63,6 @@ class SceneState:
         n, count = scenes.vehicles.shape
         goal = scenes.goal_pose
         vehicle_pose = scenes.vehicle_pose
-        vehicles = vehicle_pose[..., :2]
-        row, vehicle = np.nonzero(scenes.vehicles == NO_SLOT)
-        vehicles[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other
         return cls(
             goal=goal,
             goal_features=goal_features(goal),
@@ -67,17 +70,22 @@ class SceneState:
             free=scenes.free,
             position=scenes.start[:, :2].T.copy(),
             heading=scenes.heading.copy(),
-            direction=np.array([np.cos(scenes.heading), np.sin(scenes.heading)]),
+            direction=direction_of(scenes.heading),
             speed=np.zeros(n),
             crashed=np.zeros(n, bool),
             steps=np.zeros(n, np.int64),
-            vehicles=vehicles,
+            vehicles=vehicle_pose[..., :2],
             vehicle_heading=vehicle_pose[..., 2],
             obstacles=scenes.obstacles.copy(),
             hit=np.zeros((n, 1 + count), bool),
             impact=np.zeros((n, 1 + count, 2)),
             pushed=np.zeros((n, count), bool),
         )
+
+    def others(self, rows: np.ndarray | slice) -> Rectangles:
+        """Return the parked cars and the obstacles of some scenes."""
+        cars = cars_at(self.vehicles[rows], self.vehicle_heading[rows])
+        return joined([cars, obstacles_at(self.obstacles[rows])])
 
     def take(self, rows: np.ndarray) -> Self:
         """Return the state of some scenes, by index, as a copy."""

@@ -15,11 +15,10 @@ from parking_exp.tasks.parking.geometry import (
     CAR_DIAGONAL_M,
     CAR_LENGTH_M,
     CAR_WIDTH_M,
-    cars_at,
+    direction_of,
     extent,
     joined,
     may_overlap,
-    obstacles_at,
     walls_around,
 )
 from parking_exp.tasks.parking.lot import lot_of
@@ -108,19 +107,14 @@ class Simulator:
     def _observe_vehicles(self, rows: np.ndarray | slice) -> np.ndarray:
         """Return what the cars see of parked cars and obstacles."""
         state = self.state
-        obstacles = state.obstacles[rows]
-        others = np.concatenate([state.vehicles[rows], obstacles], axis=1)
-        headings = [state.vehicle_heading[rows], np.zeros(obstacles.shape[:2])]
-        heading = np.concatenate(headings, axis=1)
-        return nearest_vehicles(state.position[:, rows].T, others, heading, self.n_seen)
+        others = state.others(rows)
+        position = state.position[:, rows].T
+        return nearest_vehicles(position, others.centre, others.heading, self.n_seen)
 
     def _observe_rays(self, rows: np.ndarray | slice) -> np.ndarray:
         """Return the distances that the cars see along rays, as shares of the range."""
         state = self.state
-        parts = [
-            cars_at(state.vehicles[rows], state.vehicle_heading[rows]),
-            obstacles_at(state.obstacles[rows]),
-        ]
+        parts = [state.others(rows)]
         if self.walls:
             parts.append(walls_around(state.free[:, rows]))
         position = state.position[:, rows]
@@ -210,7 +204,7 @@ class Simulator:
         state.position = position
         state.heading = heading
         state.speed = speed
-        state.direction = _direction(heading)
+        state.direction = direction_of(heading)
         return np.flatnonzero(self._uncertain(slowest, fastest, farthest, sin_slip))
 
     def _uncertain(
@@ -267,7 +261,7 @@ class Simulator:
             state.vehicles[scene, vehicle].T - state.position[:, scene],
             state.direction[:, scene],
             swept[:, scene],
-            _direction(heading),
+            direction_of(heading),
             HALF_CAR_M,
         )
         return scene[touching]
@@ -306,7 +300,7 @@ class Simulator:
                 state.pushed |= state.hit[:, 1:]
                 state.hit[:] = False
                 state.impact[:] = 0.0
-            state.direction = _direction(state.heading)
+            state.direction = direction_of(state.heading)
             self._collisions.resolve(state, fixtures)
 
     def _pose(self, rows: np.ndarray | slice) -> np.ndarray:
@@ -344,10 +338,3 @@ def _within(reach: np.ndarray, position: np.ndarray, places: np.ndarray) -> np.n
     squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
     within: np.ndarray = squared < reach[:, None] ** 2
     return within
-
-
-def _direction(heading: np.ndarray) -> np.ndarray:
-    direction = np.empty((2, len(heading)))
-    np.cos(heading, out=direction[0])
-    np.sin(heading, out=direction[1])
-    return direction
