@@ -164,7 +164,7 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
             config, options=options, launcher=choices["hydra/launcher"], launcher_settings=settings
         )
 
-    def compose_point(lines: Point) -> ComposedRun:
+    def compose_lines(lines: Point) -> ComposedRun:
         options = [line for line in lines if line.partition("=")[0] in groups and "={" not in line]
         values = {}
         for change in parse_overrides(line for line in lines if line not in options):
@@ -172,6 +172,12 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
                 return compose_with_hydra(*lines).with_values({})
             values[change.key_or_group] = change.value()
         return compose_with_hydra(*options).with_values(values)
+
+    def compose_point(lines: Point) -> ComposedRun:
+        run = compose_lines(lines)
+        if any(line.startswith("env.level=") for line in lines):
+            _check_level(run.cell.env)
+        return run
 
     return compose_point
 
@@ -250,6 +256,12 @@ def value_of_level(key: str, _root_: DictConfig) -> Any:
     if level not in levels:
         raise ConfigError(f"env.level={level}: choose from {', '.join(levels)}")
     return levels[level][key]
+
+
+def _check_level(env: DictConfig) -> None:
+    """Refuse a level that sets no number of an env; a stored env has no levels."""
+    if env.level and "levels" in env and "${level:" not in OmegaConf.to_yaml(env):
+        raise ConfigError(f"env.level={env.level}: no number of env={env.name} is set by a level")
 
 
 OmegaConf.register_new_resolver("options", options_of, replace=True)

@@ -183,10 +183,6 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
         ),
         (["obstacles=3"], "env.obstacles=3: highway-env's own lot only has obstacles"),
         (["level=medium"], "env.level=medium: choose from easy, normal, hard, extreme"),
-        (
-            ["level=medium", "lot.slot_length_m=7"],
-            "env.level=medium: choose from easy, normal, hard, extreme",
-        ),
     ],
 )
 def test_a_lot_that_cannot_be_is_one_sentence(overrides, message):
@@ -200,6 +196,18 @@ def test_a_level_that_there_is_not_is_the_only_key_that_is_named():
     with pytest.raises(ConfigError) as error:
         env_config("parking_parallel", "level=medium")
     assert str(error.value) == "env.level=medium: choose from easy, normal, hard, extreme"
+
+
+@pytest.mark.parametrize(
+    "overrides", [["lot.slot_length_m=7"], ["lot.slot_length_m=7", "levels=null"]]
+)
+def test_a_level_that_sets_no_number_is_refused(overrides):
+    with pytest.raises(ConfigError) as error:
+        env_config("parking_parallel", "level=hard", *overrides)
+    sentence = "env.level=hard: no number of env=parking_parallel is set by a level"
+    assert str(error.value) == sentence
+    assert env_config("parking_parallel", *overrides).level == "easy"
+    assert env_config("parking_parallel", "level=null", *overrides).level is None
 
 
 def test_a_lot_without_walls_may_have_starts_anywhere_along_the_street():

@@ -201,13 +201,9 @@ class SeveralLots(DrawnLot):
         self.turned = all(lot.turned for lot in lots)
         self.handed = any(lot.handed for lot in lots)
 
-    def numbers(self, draws: np.ndarray) -> np.ndarray:
-        """Return the numbers of the lots that scenes are on, shape (n,)."""
-        return (draws[:, 0] * len(self.lots)).astype(np.int64)
-
     def scenes(self, draws: np.ndarray) -> Scenes:
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
-        number = self.numbers(draws)
+        number = (draws[:, 0] * len(self.lots)).astype(np.int64)  # of the lot
         parts = []
         for index, lot in enumerate(self.lots):
             of_lot = draws[number == index, 1 : 1 + lot.n_draws]
@@ -216,7 +212,8 @@ class SeveralLots(DrawnLot):
         place = np.argsort(np.argsort(number, kind="stable"))
         arrays = {}
         for name in vars(parts[0]):
-            arrays[name] = np.concatenate([getattr(part, name) for part in parts])[place]
+            in_order = np.concatenate([getattr(part, name) for part in parts])
+            arrays[name] = in_order[place]
         return Scenes(**arrays)
 
     def _of_equal_shape(self, scenes: Scenes) -> Scenes:

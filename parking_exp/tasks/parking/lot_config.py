@@ -8,7 +8,13 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from parking_exp.config_model import Bounds, ConfigModel
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, direction_of, extent
+from parking_exp.tasks.parking.geometry import (
+    CAR_LENGTH_M,
+    CAR_WIDTH_M,
+    Lengths,
+    direction_of,
+    extent,
+)
 
 TINY = 1e-9
 MAX_M = 1000.0
@@ -115,9 +121,7 @@ class LotConfig(ConfigModel):
             return bounds(of_env)
         return bounds(self.vehicles_count)
 
-    def closest_pitch_m(
-        self, slot_length_m: np.ndarray | float, slot_width_m: np.ndarray | float
-    ) -> np.ndarray:
+    def closest_pitch_m(self, slot_length_m: Lengths, slot_width_m: Lengths) -> np.ndarray:
         """Return the smallest distances along the aisle at which slots of some sizes do not
         overlap.
         """
@@ -126,18 +130,14 @@ class LotConfig(ConfigModel):
         one_behind_the_other = slot_length_m / max(math.cos(angle), TINY)
         return np.minimum(side_by_side, one_behind_the_other)
 
-    def drawn_pitch_m(
-        self, slot_length_m: np.ndarray | float, slot_width_m: np.ndarray | float
-    ) -> np.ndarray:
+    def drawn_pitch_m(self, slot_length_m: Lengths, slot_width_m: Lengths) -> np.ndarray:
         """Return the distances from slot to slot along the aisle, for slots of some sizes."""
         closest = self.closest_pitch_m(slot_length_m, slot_width_m)
         if self.pitch_m is None:
             return closest
         return np.full_like(closest, self.pitch_m)
 
-    def half_row_m(
-        self, slot_length_m: np.ndarray | float, slot_width_m: np.ndarray | float
-    ) -> np.ndarray:
+    def half_row_m(self, slot_length_m: Lengths, slot_width_m: Lengths) -> np.ndarray:
         """Return half the lengths of rows of slots of some sizes."""
         angle = np.radians(self.angle_deg)
         slot = slot_length_m * np.cos(angle) + slot_width_m * np.sin(angle)

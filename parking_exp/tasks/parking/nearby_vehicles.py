@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
+from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES
 from parking_exp.tasks.parking.scenes import FAR_M, drawn_number
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
@@ -44,11 +44,6 @@ def nearest_vehicles(
     present[..., 4] = np.sin(angle)
     seen *= seen[..., :1]
     return seen.reshape(len(position), -1)
-
-
-def observation_size(vehicles_count: int) -> int:
-    """Return the number of entries of an observation that shows `vehicles_count` other vehicles."""
-    return len(DEFAULT_FEATURES) + vehicles_count * len(ENTRIES)
 
 
 class SeenByCar(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):

@@ -235,9 +235,6 @@ class ParkingConfig(TaskConfig):
                     f"env.starts={self.starts}: env.action.{name} has to allow both directions, as "
                     "the way out of the goal has them"
                 )
-        # A stored config has the numbers of its level, and no levels.
-        if self.level and self.levels and self.level not in self.levels:
-            yield f"env.level={self.level}: choose from {', '.join(self.levels)}"
         lots = self.parametric_lots
         if not lots and self.vehicles_range[1] > MAX_VEHICLES:
             yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"

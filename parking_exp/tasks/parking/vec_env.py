@@ -7,7 +7,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from parking_exp.tasks.batch_vec_env import BatchVecEnv
 from parking_exp.tasks.parking.goal_starts import GoalStarts
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.nearby_vehicles import observation_size
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
@@ -21,12 +20,10 @@ class ParkingVecEnv(BatchVecEnv):
     def __init__(self, config: ParkingConfig, n_envs: int) -> None:
         self.lot = lot_of(config) if config.starts == "lot" else GoalStarts(config)
         simulator = Simulator(config, self.draw(np.random.default_rng(), n_envs))
-        goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
-        size = observation_size(config.observation.vehicles_count) + config.observation.rays
-        seen = spaces.Box(-np.inf, np.inf, (size,), np.float64)
-        observation_space = spaces.Dict(
-            {"observation": seen, "achieved_goal": goal, "desired_goal": goal}
-        )
+        boxes = {}
+        for key, values in simulator.observe().items():
+            boxes[key] = spaces.Box(-np.inf, np.inf, values.shape[1:], np.float64)
+        observation_space = spaces.Dict(boxes)
         action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         super().__init__(simulator, simulator.reward, n_envs, observation_space, action_space)
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parking_exp.tasks.parking.geometry import direction_of, in_frame
+
 STEP_M = 0.5  # the longest way between two actions
 
 REFERENCE = ("x", "y", "heading", "speed", "next_speed", "curvature", "forward")
@@ -43,7 +45,7 @@ def _directed(path: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
     """Yield the parts of a path without a change of direction, and the direction of each."""
     way = np.diff(path[:, :2], axis=0)
     heading = (path[:-1, 2] + path[1:, 2]) / 2
-    ahead = way[:, 0] * np.cos(heading) + way[:, 1] * np.sin(heading)
+    ahead, _ = in_frame(way.T, direction_of(heading))
     forward = np.where(ahead >= 0, 1.0, -1.0)
     changes = np.flatnonzero(np.diff(forward)) + 1
     firsts = [0, *changes.tolist()]
