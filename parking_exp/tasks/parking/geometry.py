@@ -45,6 +45,7 @@ ALONG = np.array([-0.5, -0.5, 0.5, 0.5])
 ACROSS = np.array([-0.5, 0.5, 0.5, -0.5])
 
 Lengths = np.ndarray | float
+Vectors = np.ndarray | tuple[np.ndarray, np.ndarray]
 
 
 def corners(
@@ -112,7 +113,7 @@ def direction_of(heading: np.ndarray) -> np.ndarray:
     return direction
 
 
-def in_frame(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def in_frame(vector: Vectors, direction: Vectors) -> np.ndarray:
     """Return vectors along and across some directions, all of shape (2, ...)."""
     x, y = vector
     cos, sin = direction

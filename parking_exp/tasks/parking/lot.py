@@ -192,11 +192,13 @@ class SeveralLots(DrawnLot):
         self.lots = lots
         self.n_draws = 1 + max(lot.n_draws for lot in lots)
         self.n_slots = max(lot.config.n_slots for lot in lots)
-        fewest, most = zip(*[lot.vehicles_range for lot in lots], strict=True)
-        self.vehicles_range = (min(fewest), max(most))
+        fewest = min(lot.vehicles_range[0] for lot in lots)
+        most = max(lot.vehicles_range[1] for lot in lots)
+        self.vehicles_range = (fewest, most)
         self.nearest_row_m = min(lot.nearest_row_m for lot in lots)
-        lengths, widths = zip(*[lot.size_m for lot in lots], strict=True)
-        self.size_m = (max(lengths), max(widths))
+        length = max(lot.size_m[0] for lot in lots)
+        width = max(lot.size_m[1] for lot in lots)
+        self.size_m = (length, width)
         self.same_walls = False
         self.turned = all(lot.turned for lot in lots)
         self.handed = any(lot.handed for lot in lots)

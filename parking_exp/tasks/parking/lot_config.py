@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -18,12 +18,11 @@ from parking_exp.tasks.parking.geometry import (
 
 TINY = 1e-9
 MAX_M = 1000.0
-Number = TypeVar("Number", int, float)
 GAP_M = 0.5  # from the slots to the wall behind them, and beside the last one of a dead end
 
 
-def bounds(value: Number | list[Number]) -> tuple[Number, Number]:
-    """Return the lowest and the highest value of a number or a range."""
+def bounds(value: Any) -> tuple[Any, Any]:
+    """Return the lowest and the highest value of a number or a range, a list of two."""
     if isinstance(value, list) and len(value) == 2:
         low, high = value
         return low, high

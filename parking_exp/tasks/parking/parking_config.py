@@ -115,7 +115,7 @@ class ParkingConfig(TaskConfig):
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
     # None: highway-env's own lot. Left out of stored configs then.
     lot: Annotated[LotConfig | None, Field(exclude_if=not_)] = None
-    # Each scene is on one of them; they are complete, and `lot` is None. Left out likewise.
+    # Each scene is on one of these. They are complete, and `lot` is None. Left out likewise.
     lots: Annotated[dict[LotName, LotConfig] | None, Field(exclude_if=not_)] = None
     # `lot` takes its numbers from one of the levels, by interpolation.
     level: Annotated[str | None, Field(exclude_if=not_)] = None
@@ -150,9 +150,11 @@ class ParkingConfig(TaskConfig):
     @classmethod
     def _complete_lots(cls, data: Any) -> Any:
         """Complete each of several lots by what they share, which is `lot`."""
-        lots = data.get("lots")
+        if not isinstance(data, Mapping) or not isinstance(data.get("lots"), Mapping):
+            return data
+        lots = data["lots"]
         shared = data.get("lot") or {}
-        if not lots or not isinstance(lots, Mapping) or not isinstance(shared, Mapping):
+        if not lots or not isinstance(shared, Mapping):
             return data
         complete = dict(lots)
         for name, lot in lots.items():
@@ -198,10 +200,8 @@ class ParkingConfig(TaskConfig):
         lots = self.parametric_lots.values()
         if not lots:
             return bounds(self.vehicles_count)
-        lowest, highest = zip(
-            *[lot.vehicles_range(self.vehicles_count) for lot in lots], strict=True
-        )
-        return min(lowest), max(highest)
+        ranges = [lot.vehicles_range(self.vehicles_count) for lot in lots]
+        return min(low for low, _ in ranges), max(high for _, high in ranges)
 
     def episode_steps(self) -> int:
         """Return the longest episode in policy steps, counted like highway-env does: by adding

@@ -79,11 +79,10 @@ class LotReward(ParkingReward):
             info: length and width of the slots, shape (..., 2) [m].
         """
         assert info is not None, "the size of the slot decides whether a car is parked"
-        slot = np.moveaxis(desired[..., 4:], -1, 0)  # cosine and sine of its heading
-        offset = np.moveaxis(achieved[..., :4] - desired[..., :4], -1, 0)
-        ahead, side = in_frame(offset[:2], slot)
-        vx, vy = offset[2:]
-        cos_error, sin_error = in_frame(np.moveaxis(achieved[..., 4:], -1, 0), slot)
+        slot = (desired[..., 4], desired[..., 5])
+        x, y, vx, vy = np.moveaxis(achieved[..., :4] - desired[..., :4], -1, 0)
+        ahead, side = in_frame((x, y), slot)
+        cos_error, sin_error = in_frame((achieved[..., 4], achieved[..., 5]), slot)
         parked = is_parked(
             ahead * DEFAULT_SCALES[0],
             side * DEFAULT_SCALES[1],
@@ -94,7 +93,7 @@ class LotReward(ParkingReward):
         )
         if self.sparse:
             return np.where(parked, 0.0, -1.0), np.asarray(parked)
-        velocities = in_frame(offset[2:], slot)
+        velocities = in_frame((vx, vy), slot)
         distances = np.stack([ahead, side, *velocities, 1.0 - cos_error, sin_error], axis=-1)
         return -np.sqrt(np.vecdot(np.abs(distances), self.weights)), np.asarray(parked)
 

@@ -6,13 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import (
-    Rectangles,
-    cars_at,
-    direction_of,
-    joined,
-    obstacles_at,
-)
+from parking_exp.tasks.parking.geometry import direction_of
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
 from parking_exp.tasks.parking.scenes import Scenes
 
@@ -81,11 +75,6 @@ class SceneState:
             impact=np.zeros((n, 1 + count, 2)),
             pushed=np.zeros((n, count), bool),
         )
-
-    def others(self, rows: np.ndarray | slice) -> Rectangles:
-        """Return the parked cars and the obstacles of some scenes."""
-        cars = cars_at(self.vehicles[rows], self.vehicle_heading[rows])
-        return joined([cars, obstacles_at(self.obstacles[rows])])
 
     def take(self, rows: np.ndarray) -> Self:
         """Return the state of some scenes, by index, as a copy."""

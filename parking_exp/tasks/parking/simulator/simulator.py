@@ -15,10 +15,12 @@ from parking_exp.tasks.parking.geometry import (
     CAR_DIAGONAL_M,
     CAR_LENGTH_M,
     CAR_WIDTH_M,
+    cars_at,
     direction_of,
     extent,
     joined,
     may_overlap,
+    obstacles_at,
     walls_around,
 )
 from parking_exp.tasks.parking.lot import lot_of
@@ -107,14 +109,19 @@ class Simulator:
     def _observe_vehicles(self, rows: np.ndarray | slice) -> np.ndarray:
         """Return what the cars see of parked cars and obstacles."""
         state = self.state
-        others = state.others(rows)
-        position = state.position[:, rows].T
-        return nearest_vehicles(position, others.centre, others.heading, self.n_seen)
+        obstacles = state.obstacles[rows]
+        others = np.concatenate([state.vehicles[rows], obstacles], axis=1)
+        headings = [state.vehicle_heading[rows], np.zeros(obstacles.shape[:2])]
+        heading = np.concatenate(headings, axis=1)
+        return nearest_vehicles(state.position[:, rows].T, others, heading, self.n_seen)
 
     def _observe_rays(self, rows: np.ndarray | slice) -> np.ndarray:
         """Return the distances that the cars see along rays, as shares of the range."""
         state = self.state
-        parts = [state.others(rows)]
+        parts = [
+            cars_at(state.vehicles[rows], state.vehicle_heading[rows]),
+            obstacles_at(state.obstacles[rows]),
+        ]
         if self.walls:
             parts.append(walls_around(state.free[:, rows]))
         position = state.position[:, rows]
