@@ -80,7 +80,7 @@ def test_what_all_lots_share_and_one_lot_can_be_overridden_and_a_lot_left_out():
         ),
         (
             "env.lots.dead_end.vehicles_count=8",
-            "env.lots.dead_end.vehicles_count=8: env.lots.dead_end has 8 slots, and one is the goal",
+            "env.lots.dead_end.vehicles_count=8: env.lots.dead_end has 8 slots",
         ),
         (
             "+env.lots.bays.aisle_m=7",

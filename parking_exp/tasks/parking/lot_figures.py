@@ -24,7 +24,7 @@ from parking_exp.figure_style import (
     wrapped_labels,
 )
 from parking_exp.tasks.metrics import EPISODE_SEED, SUCCESS, TIMEOUT
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, corners
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, corners, direction_of
 from parking_exp.tasks.parking.parking_metrics import CRASH, PATH_COLUMNS
 from parking_exp.tasks.parking.scenes import Scenes
 
@@ -188,7 +188,4 @@ def draw_polygons(axes: Axes, polygons: np.ndarray, **style: Any) -> PolyCollect
 
 def rectangles(poses: np.ndarray, length: float, width: float) -> np.ndarray:
     """Return the corners of equal rectangles with some poses, shape (n, 4, 2) [m]."""
-    heading = poses[:, 2]
-    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    ones = np.ones(len(poses))
-    return corners(poses[:, :2], direction, length * ones, width * ones)
+    return corners(poses[:, :2], direction_of(poses[:, 2]).T, length, width)
