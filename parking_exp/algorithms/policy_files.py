@@ -1,4 +1,5 @@
-"""Save and load an actor's weights as safetensors: nothing in such a file can be executed.
+"""Save and load the weights of actors and critics as safetensors: nothing in such a file can be
+executed.
 
 Policies of different classes can have weights of the same names and shapes, so the file's metadata
 names the classes of the policy and of its features extractor.
@@ -16,38 +17,47 @@ from torch import nn
 from parking_exp.errors import ModelError
 
 ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
+NETWORKS = ("actor", "critic")
 
 
 def export_safetensors(model: OffPolicyAlgorithm) -> bytes:
-    """Return a file with the weights of a model's actor."""
+    """Return a file with the weights of a model's actor and critics, without their targets."""
     weights = {}
     for name, weight in model.policy.state_dict().items():
-        if name.startswith(ACTOR):
-            weights[name] = weight.contiguous()
+        network, _, _ = name.partition(".")
+        if network in NETWORKS:
+            # A copy, since actor and critics may share a features extractor.
+            weights[name] = weight.clone(memory_format=torch.contiguous_format)
     return save(weights, metadata=_metadata(model))
 
 
 def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
-    """Give a model's actor, and its target, the weights of a file; its critics stay as they are.
+    """Give a model's actor and critics, and their targets, the weights of a file.
+
+    The critics stay as they are if the file has none.
 
     Raises:
-        ModelError: the file is damaged, or is the actor of another model.
+        ModelError: the file is damaged, or has the networks of another model.
     """
-    weights = {}
+    networks: dict[str, dict[str, torch.Tensor]] = {"actor": {}}
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata()
             for name in file.keys():  # noqa: SIM118 (it has no items)
-                weights[name.removeprefix(ACTOR)] = file.get_tensor(name)
+                network, _, layer = name.partition(".")
+                networks.setdefault(network, {})[layer] = file.get_tensor(name)
     except SafetensorError as error:
         raise ModelError(f"{path} is damaged ({error})") from error
 
     if metadata != _metadata(model):
         raise ModelError(f"{path} is of another policy: {metadata}, not {_metadata(model)}")
-    for name in ("actor", "actor_target"):
-        network = getattr(model.policy, name, None)
-        if network is not None:
-            load_layers(network, weights, path, prefix=ACTOR)
+    for network in NETWORKS:
+        if network not in networks:
+            continue
+        for name in (network, f"{network}_target"):
+            module = getattr(model.policy, name, None)
+            if module is not None:
+                load_layers(module, networks[network], path, prefix=f"{network}.")
 
 
 def load_layers(

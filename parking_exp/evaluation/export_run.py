@@ -86,13 +86,7 @@ def _write(export: Export) -> None:
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
 
-    from parking_exp.algorithms.policy_export import export_onnx
-    from parking_exp.algorithms.policy_files import export_safetensors
-    from parking_exp.tasks.registry import make_task
-
-    to_bytes = export_onnx if export.request.format == "onnx" else export_safetensors
-    with closing(make_task(agent.config.env)) as task:
-        content = to_bytes(agent.load(task))
+    content = _content(agent, export.request.format)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:
@@ -104,3 +98,18 @@ def _write(export: Export) -> None:
         f"exported       {agent.name} as {export.request.format}, {size_kb:.1f} kB",
         f"file           {path}",
     )
+
+
+def _content(agent: Agent, file_format: str) -> bytes:
+    """Return the file of a policy."""
+    from parking_exp.algorithms.policy_export import export_onnx
+    from parking_exp.algorithms.policy_files import export_safetensors
+    from parking_exp.tasks.registry import make_task
+
+    with closing(make_task(agent.config.env)) as task:
+        model = agent.load(task)
+    if file_format == "onnx":
+        return export_onnx(model)
+    if agent.directory is None:  # its critics are not trained if its own file has none
+        return agent.weights.read_bytes()
+    return export_safetensors(model)

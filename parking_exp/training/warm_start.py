@@ -80,7 +80,7 @@ def start(config: RunConfig, model: OffPolicyAlgorithm) -> str:
 
 
 def _load_networks(agent: Agent, model: OffPolicyAlgorithm) -> None:
-    """Load all networks of a run; a pretrained agent is an actor alone."""
+    """Load all networks of a run, or those that the file of a pretrained agent has."""
     load = load_policy if agent.directory is None else load_networks
     load(agent.weights, model)
 

@@ -79,10 +79,12 @@ def test_an_onnx_file_gives_the_actions_of_predict_whatever_the_batch(name):
     onnx.checker.check_model(onnx.load_from_string(content), full_check=True)
 
 
-def test_a_safetensors_file_has_the_actors_weights():
+def test_a_safetensors_file_has_the_weights_of_actor_and_critics():
     model = agent("sac")
     stored, weights = load(export_safetensors(model)), model.policy.state_dict()
-    assert sorted(stored) == sorted(name for name in weights if name.startswith("actor."))
+    assert sorted(stored) == sorted(
+        name for name in weights if name.startswith(("actor.", "critic."))
+    )
     assert all(np.array_equal(stored[name], weights[name].numpy()) for name in stored)
 
 
@@ -175,6 +177,8 @@ def test_several_agents_are_exported_to_their_own_files(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     files = sorted(tmp_path.rglob("*.safetensors"))
+    for file, name in zip(files, ("default", "parked"), strict=True):
+        assert file.read_bytes() == (PRETRAINED_DIR / name / "policy.safetensors").read_bytes()
     assert [str(file.relative_to(tmp_path)) for file in files] == [
         f"outputs/pretrained/{name}/exports/policy.safetensors" for name in ("default", "parked")
     ]

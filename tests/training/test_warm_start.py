@@ -11,6 +11,7 @@ import torch
 from support.models import model_of
 from support.run_equality import differences, parameters
 from support.runs import call_script, make_config, only_run, store
+from torch.nn.utils import parameters_to_vector
 
 from parking_exp.errors import FailedRunError, ModelError, RunNotFoundError
 from parking_exp.evaluation.initial_agents import find_source, name_source
@@ -106,13 +107,24 @@ def test_the_replay_buffer_has_the_sources_transitions_and_no_episode_under_way(
     assert buffer.rng.bit_generator.state == own
 
 
-def test_a_pretrained_actor_is_its_own_target():
-    config = make_config("init=pretrained/parked", "env=parking_stop", "algorithm=td3")
+@pytest.mark.parametrize(
+    ("agent", "env", "net_arch", "has_critics"),
+    [
+        ("parked", "env=parking_stop", "algorithm.net_arch=[64,64]", False),
+        ("parallel", "env=parking_parallel", "algorithm.net_arch=[128,128]", True),
+    ],
+)
+def test_networks_of_a_pretrained_agent_are_their_own_targets(agent, env, net_arch, has_critics):
+    config = make_config(f"init=pretrained/{agent}", env, "algorithm=td3", net_arch)
     model = model_of(config.model_copy(update={"n_envs": 1}))
+    new_critics = parameters_to_vector(model.critic.parameters())
     warm_start.start(config, model)
-    actor = model.policy.actor.state_dict()
-    for name, weight in model.policy.actor_target.state_dict().items():
-        assert torch.equal(weight, actor[name]), name
+    for name, weight in model.actor_target.state_dict().items():
+        assert torch.equal(weight, model.actor.state_dict()[name]), name
+    for name, weight in model.critic_target.state_dict().items():
+        assert torch.equal(weight, model.critic.state_dict()[name]), name
+    critics = parameters_to_vector(model.critic.parameters())
+    assert torch.equal(critics, new_critics) != has_critics
 
 
 def test_a_resumed_run_equals_an_uninterrupted_one_and_does_without_its_source(
