@@ -16,6 +16,7 @@ from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
 TOLERANCE = 1e-9  # of numbers, between two simulators
+SCRIPTED_BATCH = 20  # a planner takes seconds for it, after which progress is shown
 Metrics = Sequence[Metric]
 
 
@@ -44,9 +45,12 @@ def evaluate(
     Raises:
         DivergenceError: an observation or a reward is not finite.
     """
+    batch_size = task.batch_size
+    if isinstance(policy, ScriptedPolicy):
+        batch_size = min(batch_size, SCRIPTED_BATCH)
     rows: dict[int, dict[str, Any]] = {}
-    for first in range(0, len(seeds), task.batch_size):
-        batch_seeds = list(seeds[first : first + task.batch_size])
+    for first in range(0, len(seeds), batch_size):
+        batch_seeds = list(seeds[first : first + batch_size])
         batch = task.evaluation_batch(batch_seeds, simulator)
         if isinstance(policy, ScriptedPolicy):
             policy.start(batch_seeds, partial(on_step, len(rows)) if on_step else None)

@@ -6,6 +6,7 @@ They are made once for the env of a config, and kept in `output_dir/demonstratio
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -27,7 +28,7 @@ from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Task
 
 DEMONSTRATOR_SEED = 0  # of the policy: the seeds of a cell share their demonstrations
-BATCH = 100  # episodes that are driven together
+BATCH = 20  # episodes that are driven together, after which progress is shown
 POLL_S = 1.0  # between two looks at whether another run is done with the file
 
 Transition = tuple[Any, ...]
@@ -58,14 +59,15 @@ def make_room(config: RunConfig, task: Task, model: OffPolicyAlgorithm) -> None:
 
 
 def add_demonstrations(
-    config: RunConfig, model: OffPolicyAlgorithm, on_progress: Callable[[], None]
+    config: RunConfig, model: OffPolicyAlgorithm, on_progress: Callable[[int], None]
 ) -> Recording:
     """Fill the room for the demonstrations of a run, from their file if there is one.
 
     Args:
         config: of the run.
         model: of the run, after `make_room`.
-        on_progress: called now and then; it may raise to stop.
+        on_progress: called now and then with the number of recorded episodes; it may raise to
+            stop.
 
     Raises:
         ModelError: the file is damaged.
@@ -75,7 +77,7 @@ def add_demonstrations(
     demonstrations: HerBuffer = buffer.demonstrations
     path = _path(config, demonstrations)
     lock = FileLock(path.with_suffix(".lock"))
-    _wait_for(lock, on_progress)
+    _wait_for(lock, partial(on_progress, 0))
     try:
         if not path.exists():
             began_s = time.process_time()
@@ -125,7 +127,7 @@ def _record(
     config: RunConfig,
     model: OffPolicyAlgorithm,
     buffer: HerBuffer,
-    on_progress: Callable[[], None],
+    on_progress: Callable[[int], None],
 ) -> int:
     """Add an episode for each of the last training seeds, and return how many are successful."""
     task = make_task(config.env.for_demonstrations())
@@ -136,10 +138,11 @@ def _record(
     all_seeds = config.env.training_seeds[-config.buffer.demonstrations :]
     for first in range(0, len(all_seeds), BATCH):
         seeds = all_seeds[first : first + BATCH]
-        policy.start(seeds, on_progress)
+        on_step = partial(on_progress, first)
+        policy.start(seeds, on_step)
         envs = task.training_envs(len(seeds))
         envs.seed(seeds.start)
-        for episode in _drive(policy, envs, on_progress):
+        for episode in _drive(policy, envs, on_step):
             for obs, next_obs, action, reward, done, infos in episode:
                 scaled = model.policy.scale_action(action)
                 buffer.add(obs, next_obs, scaled, reward, done, infos)
@@ -150,7 +153,7 @@ def _record(
 
 
 def _drive(
-    policy: ScriptedPolicy, envs: VecEnv, on_progress: Callable[[], None]
+    policy: ScriptedPolicy, envs: VecEnv, on_step: Callable[[], None]
 ) -> list[list[Transition]]:
     """Return the first episode of each env."""
     episodes: list[list[Transition]] = [[] for _ in range(envs.num_envs)]
@@ -173,7 +176,7 @@ def _drive(
         policy.keep(~dones[under_way])
         under_way = under_way[~dones[under_way]]
         observation = following
-        on_progress()
+        on_step()
     return episodes
 
 

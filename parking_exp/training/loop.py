@@ -95,9 +95,11 @@ class TrainingLoop(RunSession):
         """Add what the run learns from beside its own episodes, and count its CPU time."""
         self.bar.show_activity("demonstrations")
         before_s = time.process_time()
-        recording = demonstrations.add_demonstrations(self.config, self.model, self.stop_if_asked)
-        self._cpu_start += time.process_time() - before_s - recording.cpu_s
         n_episodes = self.config.buffer.demonstrations
+        recording = demonstrations.add_demonstrations(
+            self.config, self.model, self.progress_of(n_episodes)
+        )
+        self._cpu_start += time.process_time() - before_s - recording.cpu_s
         self.bar.say(f"demonstrations: {recording.n_successes} of {n_episodes} reach the goal")
 
     @property

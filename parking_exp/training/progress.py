@@ -16,6 +16,7 @@ from parking_exp.terminal import Screen
 
 LINES = 10  # per run, without a terminal
 HEARTBEAT_S = 1.0
+LINE_S = 10.0  # between two lines of an activity without a terminal
 
 
 class TrainingProgress:
@@ -37,6 +38,8 @@ class TrainingProgress:
         self._start = start
         self._step = start
         self._started = time.monotonic()
+        self._activity = "train"
+        self._next_activity_line = 0.0
         self._heartbeat = heartbeat
         self._next_heartbeat = 0.0
         self._line_interval = max(1, total_steps // LINES)
@@ -77,8 +80,21 @@ class TrainingProgress:
 
     def show_activity(self, activity: str) -> None:
         """Show an activity other than training."""
+        self._activity = activity
+        self._next_activity_line = time.monotonic() + LINE_S
         self._send_heartbeat(activity, 0.0)
         self._bar.update(self._task, description=activity, figures="")
+
+    def show_episodes(self, n_finished: int, n_episodes: int) -> None:
+        """Show how many episodes of the activity are finished."""
+        count = f"{n_finished} of {n_episodes} episodes"
+        self._bar.update(self._task, figures=count)
+        now = time.monotonic()
+        if now >= self._next_heartbeat:
+            self._send_heartbeat(f"{self._activity}, {count}", 0.0)
+        if not self.console.is_terminal and now >= self._next_activity_line:
+            self._next_activity_line = now + LINE_S
+            self.say(f"{self._activity}  {count}")
 
     def say(self, text: str) -> None:
         """Print a line, above the bar if there is one."""

@@ -2,7 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 
@@ -104,11 +104,21 @@ class RunSession(ABC):
     ) -> pd.DataFrame:
         """Return the policy's episodes, or raise when a signal asks to stop."""
         try:
-            return evaluate(
-                self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator, paths
-            )
+            on_step = self.progress_of(len(seeds))
+            return evaluate(self.policy, self.task, seeds, on_step, simulator, paths)
         except DivergenceError as error:
             raise DivergenceError(f"evaluation at step {self.step}: {error}") from error
+
+    def progress_of(self, n_episodes: int) -> Callable[[int], None]:
+        """Return a function of the number of finished episodes that shows it, and raises when a
+        signal asks to stop.
+        """
+
+        def on_step(n_finished: int) -> None:
+            self.stop_if_asked()
+            self.bar.show_episodes(n_finished, n_episodes)
+
+        return on_step
 
     def stop_if_asked(self) -> None:
         """Raise InterruptedRunError if a signal has asked to stop."""

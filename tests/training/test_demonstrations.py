@@ -42,11 +42,11 @@ def configured(output_dir, *overrides):
     return make_config(*SMOKE, *overrides, f"output_dir={output_dir}")
 
 
-def demonstrated(config):
+def demonstrated(config, on_progress=None):
     """The model of a config with its demonstrations, and what is known of them."""
     model = model_of(config)
     demonstrations.make_room(config, make_task(config.env), model)
-    recording = demonstrations.add_demonstrations(config, model, lambda: None)
+    recording = demonstrations.add_demonstrations(config, model, on_progress or (lambda _: None))
     return model, recording
 
 
@@ -182,12 +182,20 @@ def test_a_run_that_is_stopped_while_another_records_stops_at_once(tmp_path, mon
     model = model_of(config)
     demonstrations.make_room(config, make_task(config.env), model)
 
-    def stop():
+    def stop(_):
         raise InterruptedRunError("stopped", SIGTERM)
 
     with FileLock(file.with_suffix(".lock")), pytest.raises(InterruptedRunError):
         demonstrations.add_demonstrations(config, model, stop)
     assert demonstrations.add_demonstrations(config, model, stop).n_successes == 4
+
+
+def test_the_number_of_recorded_episodes_is_told_after_each_batch(tmp_path, monkeypatch):
+    monkeypatch.setattr(demonstrations, "BATCH", 3)
+    counts = []
+    demonstrated(walked(tmp_path, "buffer.demonstrations=8"), counts.append)
+    assert sorted(set(counts)) == [0, 3, 6]
+    assert counts == sorted(counts)
 
 
 def test_a_damaged_file_is_named(tmp_path):

@@ -1,0 +1,34 @@
+"""What is shown of a run, and its heartbeat."""
+
+from parking_exp.training import progress
+from parking_exp.training.progress import TrainingProgress
+
+
+def test_without_a_terminal_a_long_activity_has_a_line_now_and_then(monkeypatch, capsys):
+    clock = Clock()
+    monkeypatch.setattr(progress.time, "monotonic", clock)
+    beats = []
+    bar = TrainingProgress(100, 0, enabled=True, heartbeat=lambda **beat: beats.append(beat))
+    bar.show_activity("demonstrations")
+    for n_finished in range(12):
+        bar.show_episodes(n_finished, 40)
+        clock.now += 2
+    bar.close()
+    assert capsys.readouterr().err.splitlines() == [
+        "demonstrations  5 of 40 episodes",
+        "demonstrations  10 of 40 episodes",
+    ]
+    assert [beat["doing"] for beat in beats[:3]] == [
+        "demonstrations",
+        "demonstrations, 1 of 40 episodes",
+        "demonstrations, 2 of 40 episodes",
+    ]
+
+
+class Clock:
+    """A clock that stands still."""
+
+    now = 100.0
+
+    def __call__(self):
+        return self.now
