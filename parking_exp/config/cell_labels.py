@@ -3,7 +3,7 @@ alike.
 
 A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are not
 separate factors. Keys that always change together count once. A `label` in the configs takes the
-place of all keys that it determines.
+place of all keys that it determines. Keys that stored configs leave out have their defaults.
 """
 
 import json
@@ -12,8 +12,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import BaseModel
+
 from parking_exp.config.grid import yaml_text
 from parking_exp.config.run_key import changes_results
+from parking_exp.config.schema import BufferConfig
+from parking_exp.tasks.registry import ENV_CONFIGS
 
 Setting = str | int | float | bool | None
 Config = Mapping[str, Setting]
@@ -98,15 +102,40 @@ def find_factors(
 
     The value is None if a cell's config has no such key.
     """
-    columns = _option_columns(configs, experiments)
+    whole = [with_defaults(config) for config in configs]
+    columns = _option_columns(whole, experiments)
     grouped = {f"{group}.name" for group in GROUPS}
-    varying = [key for key in differing_keys(configs) if key not in grouped]
-    _add_key_columns(columns, varying, configs)
+    varying = [key for key in differing_keys(whole) if key not in grouped]
+    _add_key_columns(columns, varying, whole)
     factors = [_factor(key, values, columns) for key, values in columns.items()]
     settings = []
     for number in range(len(configs)):
         settings.append({key: values[number] for key, values in columns.items()})
     return factors, settings
+
+
+def with_defaults(config: Config) -> dict[str, Setting]:
+    """Return a config with the defaults of the keys that stored configs leave out."""
+    whole: dict[str, Setting] = {}
+    if "buffer.name" in config:
+        whole |= _defaults_left_out(BufferConfig, "buffer.")
+    task = config.get("env.task")
+    if task in ENV_CONFIGS:
+        whole |= _defaults_left_out(ENV_CONFIGS[task], "env.")
+    whole |= config
+    return whole
+
+
+def _defaults_left_out(model: type[BaseModel], prefix: str) -> dict[str, Setting]:
+    """Return the defaults of a section's keys that stored configs leave out, as dotted keys."""
+    defaults: dict[str, Setting] = {}
+    for name, field in model.model_fields.items():
+        key = f"{prefix}{name}"
+        if field.exclude_if is not None and field.default is not None:
+            defaults |= settings_of({key: field.default})
+        elif isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            defaults |= _defaults_left_out(field.annotation, f"{key}.")
+    return defaults
 
 
 def _option_columns(

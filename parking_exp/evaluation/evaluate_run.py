@@ -10,7 +10,14 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import NonNegativeInt
 
-from parking_exp.config.cell_labels import find_factors, label_factors, setting, settings_of
+from parking_exp.config.cell_labels import (
+    Setting,
+    find_factors,
+    label_factors,
+    setting,
+    settings_of,
+    with_defaults,
+)
 from parking_exp.config.paths import resolved
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
@@ -121,9 +128,10 @@ class Evaluation:
         return {key.removeprefix("env."): now.get(key) for key in differing}
 
 
-def _settings(env: EnvConfig) -> dict[str, Any]:
+def _settings(env: EnvConfig) -> dict[str, Setting]:
     """Return what makes the episodes of an env differ, as dotted keys, without the agent's part."""
-    return settings_of({"env": env.model_dump(exclude={"simulator", "metrics", *env.agent_keys})})
+    plain = {"env": env.model_dump(exclude={"simulator", "metrics", *env.agent_keys})}
+    return with_defaults(settings_of(plain))
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:

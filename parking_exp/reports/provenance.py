@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
-from parking_exp.config.cell_labels import can_matter, differing_keys
+from parking_exp.config.cell_labels import can_matter, differing_keys, with_defaults
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import Provenance, UnfinishedRun
 
@@ -24,7 +24,7 @@ def collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: 
             versions[str(column).removeprefix(VERSION)] = counts
     marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
 
-    configs = [cell.config for cell in cells]
+    configs = [with_defaults(cell.config) for cell in cells]
     difference = {key: [config.get(key) for config in configs] for key in differing_keys(configs)}
     common = {
         key: value for key, value in configs[0].items() if can_matter(key) and key not in difference

@@ -15,11 +15,14 @@ from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric, load_metrics
 from parking_exp.tasks.parking import parking_metrics
 from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.task_config import TaskConfig
 
 if TYPE_CHECKING:
     from parking_exp.tasks.task import Task, TaskReport
 
 CUSTOM = "a class"
+ENV_CONFIGS: dict[Any, type[TaskConfig]] = {"parking": ParkingConfig, "gymnasium": GymnasiumConfig}
+"""The `env` groups of our own tasks, by their key `task`."""
 
 
 def _config_tag(env: Any) -> str | None:
@@ -27,7 +30,7 @@ def _config_tag(env: Any) -> str | None:
     task = env.get("task") if isinstance(env, Mapping) else getattr(env, "task", None)
     if isinstance(task, str) and re.match(CLASS_PATH, task):
         return CUSTOM
-    return task if task in ("parking", "gymnasium") else None
+    return task if task in tuple(ENV_CONFIGS) else None
 
 
 EnvConfig = Annotated[
@@ -41,7 +44,7 @@ EnvConfig = Annotated[
     ),
 ]
 """The `env` group: the config of one of the tasks, chosen by its key `task`."""
-TASKS = ("parking", "gymnasium", CUSTOM)
+TASKS = (*ENV_CONFIGS, CUSTOM)
 METRICS: tuple[Metric, ...] = tuple(dict.fromkeys((*parking_metrics.METRICS, *GYMNASIUM_METRICS)))
 """The metrics of all tasks. Those that a task does not have are missing for its runs."""
 OUTCOMES = tuple(metric.name for metric in METRICS if metric.is_outcome)

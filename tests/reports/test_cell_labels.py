@@ -13,6 +13,7 @@ from parking_exp.config.cell_labels import (
     labels_from_factors,
 )
 from parking_exp.config.compose import compose_runs
+from parking_exp.config.schema import PLANNER
 from parking_exp.errors import ConfigError
 from parking_exp.reports.cell_selection import choose_cells, find_contrasts, group_runs
 from parking_exp.results.frame_export import config_column
@@ -113,6 +114,35 @@ def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
     keys, labels = described([cell(env__training_duration=20.0), cell()])
     assert keys == ["env.training_duration"]
     assert labels == ["training_duration=20", "training_duration=null"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["buffer.demonstrations=0,5"], {"demonstrations=0", "demonstrations=5"}),
+        (["env.starts=lot,mixed"], {"starts=lot", "starts=mixed"}),
+        (["env.observation.rays=0,4"], {"rays=0", "rays=4"}),
+    ],
+)
+def test_defaults_that_stored_configs_leave_out_are_levels(overrides, expected):
+    runs = compose_runs("config", ["env=parking_parallel", "algorithm=td3", *overrides])
+    assert {run.label for run in plan(runs)} == expected
+
+
+def test_only_the_tasks_that_have_a_key_have_its_default():
+    parking = cell(env__task="parking")
+    reach = cell(env="fetch_reach", env__task="gymnasium")
+    _, labels = described([parking | {"env.starts": "mixed"}, parking, reach])
+    assert labels == ["parking, starts=mixed", "parking, starts=lot", "fetch_reach"]
+
+
+def test_a_demonstrator_that_is_stored_for_its_arguments_is_no_level():
+    careful = {
+        "buffer.demonstrator._target_": PLANNER["_target_"],
+        "buffer.demonstrator.margin_m": 0.2,
+    }
+    _, labels = described([cell(), cell() | careful])
+    assert labels == ["margin_m=null", "margin_m=0.2"]
 
 
 def test_experiments_come_first_and_take_what_follows_from_them():
