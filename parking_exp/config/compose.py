@@ -336,10 +336,21 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     if path is not None:  # a section was left out
         hint = f"; did you mean {f'{section}.{path.partition(name)[0]}{name}'.lstrip('.')!r}?"
     elif "_target_" in known:
-        hint = argument_hint(key, known)
+        hint = argument_hint(key, known, _hint_at_options(section, name))
     elif not known:  # takes other keys, too
         hint = f"; write ++{key}=VALUE to add it"
     else:
-        hint = suggestion(name, known)
+        hint = _hint_at_options(section, name) or suggestion(name, known)
     option = f" in {section}={known['name']}" if section and "name" in known else ""
     return f"{key}: there is no such key{option}{hint}"
+
+
+def _hint_at_options(group: str, name: str) -> str:
+    """Name options of a group that have a key; empty if there are none."""
+    options = []
+    for file in sorted((config_dir() / group).glob("*.yaml")):
+        if group and name in yaml.safe_load(file.read_text()):
+            options.append(file.stem)
+    if not options:
+        return ""
+    return f"; use it only with options that have it, such as {group}={','.join(options)}"

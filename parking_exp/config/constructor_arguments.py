@@ -126,8 +126,11 @@ def takes(call: Any, name: str) -> bool:
     return is_open or name in parameters
 
 
-def argument_hint(key: str, node: Mapping[str, Any]) -> str:
-    """Say what to type instead of an unknown key of a node, whose class may take other keys."""
+def argument_hint(key: str, node: Mapping[str, Any], of_options: str) -> str:
+    """Say what to type instead of an unknown key of a node, whose class may take other keys.
+
+    If it does not, return the hint at other options, unless that is empty.
+    """
     section, _, name = key.rpartition(".")
     hint = did_you_mean(name, node, cutoff=SIMILAR)
     if hint:
@@ -140,6 +143,8 @@ def argument_hint(key: str, node: Mapping[str, Any]) -> str:
     similar = get_close_matches(name, sorted(arguments), n=1, cutoff=SIMILAR)
     if similar and similar[0] != name:
         return f"; did you mean '++{section}.{similar[0]}'?"
+    if of_options and not similar:
+        return of_options
     return f"; write ++{key}=VALUE to add it"
 
 

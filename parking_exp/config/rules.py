@@ -33,6 +33,14 @@ def _check_buffer(run: RunConfig) -> Iterator[str]:
             f"buffer.{her_options[0]} has no effect without virtual goals; leave it out, or use "
             "buffer=her_future"
         )
+    if not run.buffer.demonstrations:
+        stored = run.buffer.model_dump()  # without defaults
+        for name in ("demonstration_share", "demonstrator"):
+            if name in stored:
+                yield (
+                    f"buffer.{name} has no effect without demonstrations; leave it out, or set "
+                    "buffer.demonstrations=N"
+                )
     longest = run.env.for_training().episode_steps()
     if longest is not None and run.is_trained:
         yield from check_lengths(run, longest)

@@ -55,6 +55,16 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
             "algorithm.verbosity=1",
             "algorithm.verbosity: there is no such key in algorithm=sac; write ++algorithm.verbosity=",
         ),
+        (
+            "algorithm.margin_m=0.1",
+            "algorithm.margin_m: there is no such key in algorithm=sac; use it only with options "
+            "that have it, such as algorithm=planner",
+        ),
+        (
+            "env.level=hard",
+            "env.level: there is no such key in env=parking; use it only with options that have it, "
+            "such as env=parking_parallel",
+        ),
         ("tracking.mlfow=true", "'mlflow'"),
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs"),
         ("hydra.launcher.n_job=2", "'n_jobs'"),

@@ -263,6 +263,12 @@ def test_they_are_part_of_the_run_key():
         (("buffer.demonstrations=3", "buffer.demonstration_share=1.0"), "demonstration_share"),
         (("env=fetch_reach", "buffer.demonstrations=3"), "drives in parking tasks only"),
         (
+            ("buffer.demonstration_share=0.5",),
+            r"^buffer\.demonstration_share has no effect without demonstrations; leave it out, or set "
+            r"buffer\.demonstrations=N$",
+        ),
+        (("+buffer.demonstrator.margin_m=0.2",), r"^buffer\.demonstrator has no effect without"),
+        (
             ("buffer._target_=support.user_policies.OwnSample", "buffer.demonstrations=3"),
             r"buffer.demonstrations=3 needs parking_exp.buffers.HerBuffer, or a subclass that",
         ),
