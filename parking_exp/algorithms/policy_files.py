@@ -66,7 +66,7 @@ def load_layers(
     path: Path,
     *,
     prefix: str = "",
-    hint: str = "",
+    hint: str = "; observations, actions and networks have to be as large as in its training",
 ) -> None:
     """Load weights of a file into a network.
 
@@ -80,21 +80,26 @@ def load_layers(
     Raises:
         ModelError: a layer is missing or has another shape, or there is one too many.
     """
-    stored = _shapes(weights)
-    expected = _shapes(network.state_dict())
-    for name in [*expected, *stored]:
-        shape = stored.get(name, "missing")
-        expected_shape = expected.get(name, "missing")
-        if shape != expected_shape:
+    model_weights = network.state_dict()
+    for name in [*model_weights, *weights]:
+        stored = _describe(weights.get(name))
+        expected = _describe(model_weights.get(name))
+        if stored != expected:
             raise ModelError(
-                f"{path} does not fit: its layer {prefix}{name} is {shape}, not "
-                f"{expected_shape}{hint}"
+                f"{path} does not fit: its layer {prefix}{name} {stored}, and the model's "
+                f"{expected}{hint}"
             )
     network.load_state_dict(weights)
 
 
-def _shapes(weights: Mapping[str, torch.Tensor]) -> dict[str, str]:
-    return {name: f"of shape {tuple(weight.shape)}" for name, weight in weights.items()}
+def _describe(weight: torch.Tensor | None) -> str:
+    """Say how large a layer is."""
+    if weight is None:
+        return "is missing"
+    if weight.ndim == 2:
+        n_units, n_inputs = weight.shape
+        return f"has {n_inputs} inputs and {n_units} units"
+    return f"has the shape {tuple(weight.shape)}"
 
 
 def _metadata(model: OffPolicyAlgorithm) -> dict[str, str]:

@@ -11,9 +11,9 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.model_files import load_networks
 from parking_exp.algorithms.policy_files import load_policy
-from parking_exp.config.cell_labels import Setting, differing_keys, settings_of
+from parking_exp.config.cell_labels import Setting, differing_keys, setting, settings_of
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, ModelError
 from parking_exp.evaluation.agents import Agent
 from parking_exp.evaluation.initial_agents import find_source
 from parking_exp.runs.atomic_files import sha256
@@ -62,8 +62,11 @@ def _check_layers(config: RunConfig, agent: Agent) -> None:
     task = make_task(config.env)
     env = task.prediction_env()
     model = build_model(config, task, env, seed=0, for_training=False)
-    _load_networks(agent, model)
     task.close()
+    try:
+        _load_networks(agent, model)
+    except ModelError as error:
+        raise ModelError(f"init={config.init}: {error}") from error
 
 
 def start(config: RunConfig, model: OffPolicyAlgorithm) -> str:
@@ -101,10 +104,9 @@ def _find_buffer(config: RunConfig, agent: Agent) -> Path:
 def _settings(config: RunConfig) -> dict[str, Setting]:
     """Return a config as dotted keys, without those of optimizers."""
     plain = config.plain()
-    given = plain["algorithm"].get("policy_kwargs") or {}
+    given = plain["algorithm"].pop("policy_kwargs", None) or {}
     kept = {key: value for key, value in given.items() if not key.startswith("optimizer")}
-    plain["algorithm"]["policy_kwargs"] = kept
-    return settings_of(plain)
+    return settings_of(plain) | settings_of(kept, "algorithm.policy_kwargs.")
 
 
 def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) -> None:
@@ -113,6 +115,6 @@ def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) 
     for key in differing_keys([own, source]):
         if key.startswith(keys):
             raise ConfigError(
-                f"init={config.init} does not fit: its {key} is {source.get(key)}, and this run's "
-                f"is {own.get(key)}"
+                f"init={config.init} does not fit: its {key} is {setting(source.get(key))}, and "
+                f"this run's is {setting(own.get(key))}"
             )
