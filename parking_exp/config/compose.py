@@ -349,7 +349,8 @@ def _hint_at_options(group: str, name: str) -> str:
     """Name options of a group that have a key; empty if there are none."""
     options = []
     for file in sorted((config_dir() / group).glob("*.yaml")):
-        if group and name in yaml.safe_load(file.read_text()):
+        keys = yaml.safe_load(file.read_text()) or {}
+        if group and name in keys:
             options.append(file.stem)
     if not options:
         return ""

@@ -62,8 +62,8 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ),
         (
             "env.level=hard",
-            "env.level: there is no such key in env=parking; use it only with options that have it, "
-            "such as env=parking_parallel",
+            "env.level: there is no such key in env=parking; use it only with options that have "
+            "it, such as env=parking_parallel",
         ),
         ("tracking.mlfow=true", "'mlflow'"),
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs"),

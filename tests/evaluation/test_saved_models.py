@@ -182,11 +182,13 @@ def test_nothing_pickled_in_a_file_is_executed(trained, tmp_path):
         (("env=parking", "model=best"), "a file has no model=best; leave it out"),
         (
             ("env=parking", "algorithm=td3"),
-            "its layer actor.mu.0.weight is missing, and the model's has 18 inputs and 16 units; name the env",
+            "its layer actor.mu.0.weight is missing, and the model's has 18 inputs and 16 units; "
+            "name the env",
         ),
         (
             ("env=parking", "env.observation.vehicles_count=2"),
-            "its layer actor.latent_pi.0.weight has 18 inputs and 16 units, and the model's has 28 inputs and 16 units;",
+            "its layer actor.latent_pi.0.weight has 18 inputs and 16 units, and the model's has 28 "
+            "inputs and 16 units;",
         ),
         (
             ("env=parking", "algorithm.policy_kwargs.activation=torch.nn.ReLU"),

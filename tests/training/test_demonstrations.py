@@ -264,8 +264,8 @@ def test_they_are_part_of_the_run_key():
         (("env=fetch_reach", "buffer.demonstrations=3"), "drives in parking tasks only"),
         (
             ("buffer.demonstration_share=0.5",),
-            r"^buffer\.demonstration_share has no effect without demonstrations; leave it out, or set "
-            r"buffer\.demonstrations=N$",
+            r"^buffer\.demonstration_share has no effect without demonstrations; leave it out, or "
+            r"set buffer\.demonstrations=N$",
         ),
         (("+buffer.demonstrator.margin_m=0.2",), r"^buffer\.demonstrator has no effect without"),
         (
