@@ -51,6 +51,9 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
 
     if metadata != _metadata(model):
         raise ModelError(f"{path} is of another policy: {metadata}, not {_metadata(model)}")
+    others = [network for network in networks if network not in NETWORKS]
+    if others:
+        raise ModelError(f"{path} does not fit: it has a network {others[0]!r}")
     for network in NETWORKS:
         if network not in networks:
             continue

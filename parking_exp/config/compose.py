@@ -175,7 +175,7 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
 
     def compose_point(lines: Point) -> ComposedRun:
         run = compose_lines(lines)
-        if any(line.startswith("env.level=") for line in lines):
+        if any(line.lstrip("+").startswith("env.level=") for line in lines):
             _check_level(run.cell.env)
         return run
 

@@ -26,8 +26,9 @@ def collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: 
 
     configs = [with_defaults(cell.config) for cell in cells]
     difference = {key: [config.get(key) for config in configs] for key in differing_keys(configs)}
+    stored = cells[0].config
     common = {
-        key: value for key, value in configs[0].items() if can_matter(key) and key not in difference
+        key: value for key, value in stored.items() if can_matter(key) and key not in difference
     }
     return Provenance(
         versions=versions,

@@ -5,6 +5,8 @@ import shutil
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import load, save
 from support import models
 from support.runs import make_config
 
@@ -156,6 +158,19 @@ def test_the_policy_of_another_model_is_refused(saved, loaded, difference, tmp_p
     path.write_bytes(export_safetensors(make_model("algorithm=td3", saved)))
     with pytest.raises(ModelError, match=rf"policy\.safetensors .*{difference}"):
         load_policy(path, make_model("algorithm=td3", loaded))
+
+
+def test_a_policy_file_with_another_network_is_refused(tmp_path):
+    model = make_model("algorithm=td3")
+    content = export_safetensors(model)
+    path = tmp_path / "policy.safetensors"
+    path.write_bytes(content)
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    weights = load(content) | {"critic_target.0.weight": torch.zeros(1)}
+    path.write_bytes(save(weights, metadata=metadata))
+    with pytest.raises(ModelError, match=r"it has a network 'critic_target'$"):
+        load_policy(path, model)
 
 
 @pytest.mark.parametrize(

@@ -201,9 +201,11 @@ def test_a_level_that_there_is_not_is_the_only_key_that_is_named():
 @pytest.mark.parametrize(
     "overrides", [["lot.slot_length_m=7"], ["lot.slot_length_m=7", "levels=null"]]
 )
-def test_a_level_that_sets_no_number_is_refused(overrides):
+@pytest.mark.parametrize("level", ["env.level=hard", "++env.level=hard"])
+def test_a_level_that_sets_no_number_is_refused(overrides, level):
+    keys = [f"env.{override}" for override in overrides]
     with pytest.raises(ConfigError) as error:
-        env_config("parking_parallel", "level=hard", *overrides)
+        make_config("env=parking_parallel", level, *keys)
     sentence = "env.level=hard: no number of env=parking_parallel is set by a level"
     assert str(error.value) == sentence
     assert env_config("parking_parallel", *overrides).level == "easy"

@@ -12,6 +12,7 @@ from support.simulator_equality import actions_of, compare
 from parking_exp import compose, train
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.errors import ConfigError
+from parking_exp.evaluation.agents import find_agent
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_report import drawn, rates
 from parking_exp.tasks.parking.parking_task import ParkingTask
@@ -88,6 +89,7 @@ def test_what_all_lots_share_and_one_lot_can_be_overridden_and_a_lot_left_out():
         ),
         ("+env.lots.a-b={}", "env.lots.a-b"),
         ("env.lots.bays=7", "env.lots.bays=7"),
+        ("env.lots=null", "lots: name one or more, or choose an env that has one lot"),
     ],
 )
 def test_a_lot_that_cannot_be_is_one_sentence_that_names_it(override, message):
@@ -144,7 +146,18 @@ def test_an_agent_of_all_lots_is_evaluated_on_each_with_the_features_of_its_trai
         assert (done.returncode, done.stderr) == (0, "")
     done = call_script("evaluate", *options, "replay=true")
     assert (done.returncode, done.stderr) == (0, "")
-    shared = call_script("evaluate", *options, "env.lot.end_m=9")
     sections = "env.lots.parallel, env.lots.bays, env.lots.angled, env.lots.dead_end"
-    sentence = f"error: env.lot: a run keeps its lots one by one; change {sections}\n"
-    assert (shared.returncode, shared.stderr) == (2, sentence)
+    shared = f"error: env.lot: a run keeps its lots one by one; change {sections}\n"
+    unknown = f"error: env.lots.bay: the run has no such lot; choose from {', '.join(NAMES)}\n"
+    for change, sentence in (("env.lot.end_m=9", shared), ("env.lots.bay.end_m=9", unknown)):
+        done = call_script("evaluate", *options, change)
+        assert (done.returncode, done.stderr) == (2, sentence)
+
+
+def test_an_agent_of_all_lots_keeps_its_features_on_one_of_them(tmp_path):
+    overrides = ("env=parking_lots", "env.level=normal", "algorithm.features=ego_mirrored")
+    run = train(compose("experiment=smoke", *overrides, f"output_dir={tmp_path}"))
+    agent = find_agent(str(run.run_dir), tmp_path)
+    bays = make_config("env=parking_bays", "env.level=normal").env
+    extractor = agent.load(ParkingTask(bays)).actor.features_extractor
+    assert (extractor.handed, extractor.lot_size_m) == (True, lot_of(agent.config.env).size_m)

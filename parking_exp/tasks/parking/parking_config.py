@@ -150,11 +150,13 @@ class ParkingConfig(TaskConfig):
     @classmethod
     def _complete_lots(cls, data: Any) -> Any:
         """Complete each of several lots by what they share, which is `lot`."""
-        if not isinstance(data, Mapping) or not isinstance(data.get("lots"), Mapping):
+        if not isinstance(data, Mapping) or "lots" not in data:
             return data
         lots = data["lots"]
+        if not lots:
+            raise ValueError("lots: name one or more, or choose an env that has one lot")
         shared = data.get("lot") or {}
-        if not lots or not isinstance(shared, Mapping):
+        if not isinstance(lots, Mapping) or not isinstance(shared, Mapping):
             return data
         complete = dict(lots)
         for name, lot in lots.items():
@@ -256,6 +258,11 @@ class ParkingConfig(TaskConfig):
         if self.lots and "lot" in changes:
             sections = ", ".join(self.parametric_lots)
             yield f"env.lot: a run keeps its lots one by one; change {sections}"
+        if self.lots and "lots" in changes:
+            unknown = [name for name in changes["lots"] or () if name not in self.lots]
+            names = ", ".join(self.lots)
+            for name in unknown:
+                yield f"env.lots.{name}: the run has no such lot; choose from {names}"
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield nothing: all features and all arguments of the buffer are supported."""
