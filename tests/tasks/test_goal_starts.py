@@ -7,7 +7,7 @@ from support.runs import make_config
 
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking import goal_starts
-from parking_exp.tasks.parking.contacts import FreeSpace
+from parking_exp.tasks.parking.free_space import FreeSpace
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, OBSTACLE_M, corners
 from parking_exp.tasks.parking.goal_starts import N_DRAWS, GoalStarts, drive
 from parking_exp.tasks.parking.lot import lot_of

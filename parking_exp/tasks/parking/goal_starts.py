@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from parking_exp.tasks.parking.contacts import FreeSpace
+from parking_exp.tasks.parking.free_space import FreeSpace
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import Lot, lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig

@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
-from parking_exp.tasks.parking.contacts import FreeSpace
 from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, moved_ahead
+from parking_exp.tasks.parking.free_space import FreeSpace
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import RANGES, ParkingConfig

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from ompl import base, geometric, util
 
-from parking_exp.tasks.parking.contacts import FreeSpace
+from parking_exp.tasks.parking.free_space import FreeSpace
 
 RANGE_M = 0.5  # the longest new branch of a tree: in tight slots, longer ones hit something
 CHECK_M = 0.1  # between the poses of a motion that are tested

@@ -1,4 +1,4 @@
-"""Contacts of a standing car with parked cars, obstacles and walls."""
+"""Free space of a scene: the poses in which a car touches no parked car, obstacle or wall."""
 
 import numpy as np
 
