@@ -147,6 +147,7 @@ def outlines(slots, turns):
         (["env=parking_bays"], True, False),
         (["env=parking_dead_end"], False, True),
         (["env=parking_bays", "env.lot.angle_deg=60"], True, True),
+        (["env=parking_bays", "env.lot.angle_deg=[60,90]"], True, True),
         (["env=parking_bays", "env.lot.rows=1", "env.vehicles_count=5"], False, False),
     ],
 )

@@ -62,6 +62,8 @@ def test_a_lot_is_simulated_as_highway_env_does_in_many_scenes(lot, level, kind)
         ["lot.rows=1", "vehicles_count=6"],
         ["lot.angle_deg=30", "lot.heading=out", "lot.pitch_m=12"],
         ["lot.neighbours=any", "vehicles_count=0", "add_walls=false"],
+        ["lot.angle_deg=[30,90]", "level=normal", "observation.rays=8"],
+        ["lot.angle_deg=[0,30]", "lot.pitch_m=[9,10]", "lot.end_m=[8,12]", "lot.dead_end=true"],
     ],
 )
 def test_other_lots_are_simulated_as_highway_env_does(overrides):
@@ -145,6 +147,52 @@ def test_scenes_draw_the_numbers_of_their_lot_from_the_ranges():
     assert 6.49 < aisle.max() <= 6.5
 
 
+def test_angle_pitch_and_end_are_drawn_after_all_other_numbers():
+    ranges = ["lot.angle_deg=[45,90]", "lot.pitch_m=[5,6]", "lot.end_m=[8,10]"]
+    lot = lot_of(env_config("parking_bays", *ranges))
+    alone = lot_of(env_config("parking_bays"))
+    scenes = lot.from_seeds([7])
+    of_alone = alone.from_seeds([7])
+    rng, _ = gym.utils.seeding.np_random(7)
+    draws = rng.random(alone.n_draws + 3)
+    angle, pitch, end = [45, 5, 8] + draws[-3:] * [45, 1, 2]
+
+    assert lot.n_draws == len(draws)
+    slots = scenes.slots[0]
+    heading = np.radians(angle)
+    depth = 6 * np.sin(heading) + 3.5 * np.cos(heading)
+    np.testing.assert_allclose(slots[:9, 2], heading + np.pi)  # nose out
+    np.testing.assert_allclose(np.diff(slots[:9, 0]), pitch)
+    np.testing.assert_allclose(slots[:9, 1], (8 + depth) / 2)
+    row = 8 * pitch + 6 * np.cos(heading) + 3.5 * np.sin(heading)
+    np.testing.assert_allclose(scenes.box, [[row + 2 * end + 1, 8 + 2 * (depth + 0.5) + 1]])
+    for name in ("start", "goal", "vehicles", "slot_size"):
+        np.testing.assert_array_equal(getattr(scenes, name), getattr(of_alone, name))
+
+
+def test_ranges_of_the_angle_do_not_change_the_scenes_of_lots_without_them():
+    lot = lot_of(env_config("parking_angled", "level=normal"))
+    scenes = lot.from_seeds([7])
+    start = [-6.595027440225795, -0.19983371508877457, 0.13039475108667245]
+    taken = [0, 2, 16, 15, 13, 12, 4, 3, 5, 6, 17, 7, 14, 10, 9, NO_SLOT]
+    assert lot.n_draws == 3 + 3 + 2 + 18
+    assert (scenes.goal.tolist(), scenes.vehicles.tolist()) == ([1], [taken])
+    np.testing.assert_allclose(scenes.start, [start], rtol=1e-15)
+    np.testing.assert_allclose(scenes.slot_size, [[6.0, 3.1640248303393514]], rtol=1e-15)
+    np.testing.assert_allclose(scenes.box, [[51.96813528158398, 22.332015365997812]], rtol=1e-15)
+
+
+def test_the_size_of_a_lot_is_that_of_its_largest_scene():
+    """The diagonal of the slots, 8 x 3 m, may be along the aisle or across it."""
+    lot = lot_of(env_config("parking_parallel", "lot.angle_deg=[0,90]", "lot.end_m=[8,9]"))
+    diagonal = np.sqrt(8**2 + 3**2)
+    assert lot.size_m == pytest.approx((8 * diagonal + 2 * 9 + 1, 14 + 2 * diagonal + 1 + 1))
+    assert lot.nearest_row_m == pytest.approx((14 + 3) / 2)
+    scenes = lot.random(np.random.default_rng(0), 3000)
+    assert (scenes.box <= lot.size_m).all()
+    assert (np.abs(scenes.slots[..., 1]) >= lot.nearest_row_m).all()
+
+
 def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
     config = env_config("parking_angled", "level=normal")
     lot = lot_of(config)
@@ -169,7 +217,18 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
         (["lot.slot_length_m=[8]"], "give a length in metres, or the lowest and the highest"),
         (["lot.slot_length_m=long"], "give a length in metres, or the lowest and the highest"),
         (["lot.starts.y_m=[1,0]"], "env.lot.starts.y_m: the lowest number comes first"),
+        (["lot.angle_deg=[60,45]"], "env.lot.angle_deg: give an angle from 0 to 90 degrees"),
+        (["lot.angle_deg=[45,91]"], "give an angle from 0 to 90 degrees, or the lowest and the"),
+        (["lot.angle_deg=-1"], "give an angle from 0 to 90 degrees, or the lowest and the highest"),
+        (["lot.end_m=[8]"], "give a length in metres, or the lowest and the highest"),
         (["lot.pitch_m=5"], "env.lot.pitch_m=5: slots overlap below 8 m"),
+        # At both ends of the range they do not. In between, their diagonal is along the aisle.
+        (["lot.angle_deg=[0,30]", "lot.pitch_m=[8.4,9]"], "pitch_m=8.4: slots overlap below 8.54"),
+        # At 90 degrees, where rows are shortest.
+        (
+            ["lot.angle_deg=[0,90]", "lot.end_m=[6,9]"],
+            "cars would start in the walls, which are at -18 and 18 m",
+        ),
         (
             ["lot.aisle_width_m=5"],
             "env.lot.aisle_width_m=5: cars that start within env.lot.starts need 11.4 m",
@@ -361,20 +420,27 @@ def test_a_report_has_the_rates_by_slot_of_the_lot_that_was_stored():
     assert sum(row["n"] for row in data["slots"]) == 60
 
 
-def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored():
-    """Each scene has slots of its own size, and therefore in other places."""
+@pytest.mark.parametrize("angle", [90.0, [60.0, 90.0]])
+def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored(angle):
+    """Each scene has slots of its own size and angle, and therefore in other places."""
     stored = {f"env.lot.{key}": value for key, value in STORED_LOT.items()}
-    scenes = lot_of(env_config("parking_bays", "level=hard")).from_seeds(range(20))
+    stored["env.lot.angle_deg"] = str(angle)
+    lot = lot_of(env_config("parking_bays", "level=hard", f"lot.angle_deg={angle}"))
+    scenes = lot.from_seeds(range(20))
     x, y, heading = scenes.goal_pose.T
     ends = {"scene": range(20), "step": 9, "outcome": "success", "x_m": x, "y_m": y}
     drawing = drawn(pd.DataFrame({**ends, "heading_rad": heading}), stored)
 
     assert drawing.lot.slots.shape == (1, 18, 3)
     assert drawing.lot.slot_size[0] == pytest.approx([6.0, (2.4 + 2.85) / 2])
+    middle = np.radians(np.mean(angle))
+    assert drawing.lot.slots[0, :9, 2] == pytest.approx(middle + np.pi)
     expected = drawing.lot.slots[0, scenes.goal]
     assert np.abs(expected - scenes.goal_pose)[:, :2].max() > 0.5
-    poses = drawing.paths[["x_m", "y_m", "heading_rad"]].to_numpy()
-    np.testing.assert_allclose(poses, expected, rtol=0, atol=1e-12)
+    places = drawing.paths[["x_m", "y_m"]].to_numpy()
+    np.testing.assert_allclose(places, expected[:, :2], rtol=0, atol=1e-12)
+    # Paths are not turned: cars would not drive along the aisle.
+    np.testing.assert_array_equal(drawing.paths["heading_rad"], heading)
 
 
 def test_a_report_of_runs_without_paths_draws_the_lot_alone():

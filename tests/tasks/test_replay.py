@@ -104,7 +104,12 @@ def test_outcomes_and_steps_are_those_of_an_evaluation():
 
 
 @pytest.mark.parametrize(
-    "overrides", [CROWDED, ["env=parking_parallel", "env.level=normal"], ["env=parking_angled"]]
+    "overrides",
+    [
+        CROWDED,
+        ["env=parking_parallel", "env.level=normal"],
+        ["env=parking_angled", "env.lot.angle_deg=[45,90]"],
+    ],
 )
 def test_shapes_of_a_scene_are_those_of_highway_env(overrides):
     from highway_env.vehicle.objects import Landmark, Obstacle

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import LOT_LENGTH_M, LOT_WIDTH_M, ROW_Y_M, WALL_THICKNESS_M
-from parking_exp.tasks.parking.lot_config import GAP_M, TINY, LotConfig, bounds
+from parking_exp.tasks.parking.lot_config import DRAWN, GAP_M, TINY, LotConfig, LotNumbers
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
-# Numbers of a lot that scenes draw: length and width of the slots, width of the aisle.
-N_LENGTHS = 3
+# Of `LotNumbers`, the ones that a scene always takes a number for, and takes first. The others come
+# last, and only those that are ranges: the scenes of lots without such ranges are what they were.
+N_FIRST = 3
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,9 @@ class ParametricLot(DrawnLot):
     """Rows of slots along an aisle; see `LotConfig`.
 
     The numbers of a scene choose, in this order, length and width of the slots, width of the aisle;
-    x, y and heading of the start; the goal; the number of parked cars; and one for each slot the
-    order in which cars take the slots, lowest first.
+    x, y and heading of the start; the goal; the number of parked cars; one for each slot the order
+    in which cars take the slots, lowest first; and those of angle, pitch and end of the aisle that
+    are ranges.
     """
 
     def __init__(self, config: LotConfig, vehicles_range: tuple[int, int]) -> None:
@@ -81,24 +83,25 @@ class ParametricLot(DrawnLot):
         self.vehicles_range = vehicles_range
         self.turned = config.turned
         self.handed = config.handed
-        self.n_draws = N_LENGTHS + 5 + config.n_slots
-        lengths = (config.slot_length_m, config.slot_width_m, config.aisle_width_m)
-        self._lengths = np.array([bounds(value) for value in lengths])
+        lowest, highest = config.ranges
+        is_last = lowest < highest
+        is_last[:N_FIRST] = False
+        self._last = np.flatnonzero(is_last)  # of `LotNumbers`
+        n_of_parts = (N_FIRST, 3, 2, config.n_slots, len(self._last))
+        self._ends = np.cumsum(n_of_parts)
+        self.n_draws = int(self._ends[-1])
         starts = config.starts
-        self._starts = np.array([starts.x_m, starts.y_m, np.radians(starts.heading_deg)])
+        self._starts = np.array([starts.x_m, starts.y_m, np.radians(starts.heading_deg)]).T
         self._goals = np.arange(config.n_slots)
         if config.neighbours == "taken":
             last = config.slots_per_row - 1
             in_row = self._goals % config.slots_per_row
             self._goals = self._goals[(in_row > 0) & (in_row < last)]
-        extremes = np.zeros((2, self.n_draws))
-        extremes[1] = np.nextafter(1.0, 0.0)
-        scenes = self.scenes(extremes)
-        smallest, largest = scenes.box.tolist()
-        length, width = largest
+        slots, boxes, _ = self._geometry(config.extremes())
+        length, width = boxes.max(axis=0).tolist()
         self.size_m = (length, width)
-        self.same_walls = smallest == largest
-        self.nearest_row_m = float(np.abs(scenes.slots[..., 1]).min()) - TINY
+        self.same_walls = bool((boxes == boxes[0]).all())
+        self.nearest_row_m = float(np.abs(slots[..., 1]).min()) - TINY
 
     def typical(self) -> Scenes:
         """Return one scene, with the middle of all ranges, for drawings of the lot."""
@@ -107,13 +110,15 @@ class ParametricLot(DrawnLot):
     def scenes(self, draws: np.ndarray) -> Scenes:
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
         n = len(draws)
-        lengths, starts, goal_and_number, order = np.split(
-            draws, (N_LENGTHS, N_LENGTHS + 3, N_LENGTHS + 5), axis=1
-        )
-        slot_length, slot_width, aisle = _scaled(lengths, self._lengths).T
-        slots, box, middle = self._geometry(slot_length, slot_width, aisle)
+        first, starts, goal_and_number, order, last = np.split(draws, self._ends[:-1], axis=1)
+        shares = np.zeros((n, len(DRAWN)))
+        shares[:, :N_FIRST] = first
+        shares[:, self._last] = last
+        numbers = self.config.numbers(shares)
+        slots, box, middle = self._geometry(numbers)
 
-        start = _scaled(starts, self._starts)
+        lowest, highest = self._starts
+        start = lowest + starts * (highest - lowest)
         start[:, :2] += middle
         goal = self._goals[(goal_and_number[:, 0] * len(self._goals)).astype(np.int64)]
         low, high = self.vehicles_range
@@ -124,35 +129,28 @@ class ParametricLot(DrawnLot):
             vehicles=self._taken(order, goal, number),
             obstacles=np.zeros((n, 0, 2)),
             slots=slots,
-            slot_size=np.stack([slot_length, slot_width], axis=1),
+            slot_size=np.stack([numbers.slot_length_m, numbers.slot_width_m], axis=1),
             box=box,
         )
 
-    def _geometry(
-        self, slot_length: np.ndarray, slot_width: np.ndarray, aisle: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _geometry(self, numbers: LotNumbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the poses of the slots, shape (n, slots, 3), the size of the box, and the middle
         of the aisle in it, both of shape (n, 2).
 
-        The arguments have the shape (n,). The middle of the box is the origin.
+        The middle of the box is the origin.
         """
         config = self.config
-        angle = np.radians(config.angle_deg)
-        sin = np.sin(angle)
-        cos = np.cos(angle)
-        pitch = config.drawn_pitch_m(slot_length, slot_width)
-        depth = slot_length * sin + slot_width * cos
-        half_row = config.half_row_m(slot_length, slot_width)
-
-        left = half_row + config.end_m
-        right = half_row + (GAP_M if config.dead_end else config.end_m)
+        aisle = numbers.aisle_width_m
+        cos, sin = numbers.direction
+        depth = numbers.slot_length_m * sin + numbers.slot_width_m * cos
+        left, right = config.ends_m(numbers)
         above = aisle / 2 + depth + GAP_M
         below = above if config.rows == 2 else aisle / 2
         middle = np.stack([left - right, below - above], axis=1) / 2
         box = np.stack([left + right, above + below], axis=1) + WALL_THICKNESS_M
 
         in_row = np.arange(config.slots_per_row) - (config.slots_per_row - 1) / 2
-        x = pitch[:, None] * in_row
+        x = numbers.drawn_pitch_m[:, None] * in_row
         y = np.repeat(((aisle + depth) / 2)[:, None], config.slots_per_row, axis=1)
         if config.rows == 2:
             # The row below is the one above, turned by 180 degrees.
@@ -161,7 +159,7 @@ class ParametricLot(DrawnLot):
         slots = np.empty((*x.shape, 3))
         slots[..., 0] = x + middle[:, :1]
         slots[..., 1] = y + middle[:, 1:]
-        slots[..., 2] = angle
+        slots[..., 2] = np.radians(numbers.angle_deg)[:, None]
         slots[:, config.slots_per_row :, 2] += np.pi
         if config.heading == "out":
             slots[..., 2] += np.pi
@@ -229,12 +227,6 @@ class SeveralLots(DrawnLot):
         vehicles = np.full((n, most), NO_SLOT)
         vehicles[:, : scenes.vehicles.shape[1]] = scenes.vehicles
         return replace(scenes, slots=scenes.slots[:, slot], vehicles=vehicles)
-
-
-def _scaled(draws: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    """Return numbers in [0, 1), shape (n, k), scaled to k ranges, shape (k, 2)."""
-    low, high = ranges.T
-    return low + draws * (high - low)
 
 
 Lot = HighwayLot | ParametricLot | SeveralLots

@@ -1,23 +1,18 @@
 """The `env.lot` section: the geometry of a lot other than highway-env's own."""
 
-import math
 from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
 from parking_exp.config_model import Bounds, ConfigModel
-from parking_exp.tasks.parking.geometry import (
-    CAR_LENGTH_M,
-    CAR_WIDTH_M,
-    Lengths,
-    direction_of,
-    extent,
-)
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, direction_of, extent
 
 TINY = 1e-9
 MAX_M = 1000.0
+MAX_SHARE = float(np.nextafter(1.0, 0.0))  # the largest number that a generator draws
 GAP_M = 0.5  # from the slots to the wall behind them, and beside the last one of a dead end
 
 
@@ -29,13 +24,23 @@ def bounds(value: Any) -> tuple[Any, Any]:
     return value, value
 
 
-def _check_drawn(value: Any) -> float | list[float]:
-    """Return a length, or the lowest and the highest of those that scenes draw."""
+def _check_drawn(value: Any, highest: float, sentence: str) -> float | list[float]:
+    """Return a number, or the lowest and the highest of those that scenes draw."""
     low, high = bounds(value)
     numbers = {type(low), type(high)} <= {int, float}
-    if not (numbers and 0 < low <= high <= MAX_M):
-        raise ValueError("give a length in metres, or the lowest and the highest: [6, 7]")
+    if not (numbers and 0 <= low <= high <= highest):
+        raise ValueError(sentence)
     return [float(low), float(high)] if isinstance(value, list) else float(value)
+
+
+def _check_length(value: Any) -> float | list[float]:
+    sentence = "give a length in metres, or the lowest and the highest: [6, 7]"
+    return _check_drawn(value, MAX_M, sentence)
+
+
+def _check_angle(value: Any) -> float | list[float]:
+    sentence = "give an angle from 0 to 90 degrees, or the lowest and the highest: [45, 90]"
+    return _check_drawn(value, 90.0, sentence)
 
 
 def _check_order(value: list[float]) -> list[float]:
@@ -56,8 +61,8 @@ def _is_missing(value: Any) -> bool:
     return value is None
 
 
-Metres = Annotated[float, Field(gt=0, le=MAX_M)]
-Drawn = Annotated[Any, AfterValidator(_check_drawn)]
+Length = Annotated[Any, AfterValidator(_check_length)]
+Angle = Annotated[Any, AfterValidator(_check_angle)]
 Ordered = Annotated[Bounds, AfterValidator(_check_order)]
 VehiclesCount = Annotated[Any, AfterValidator(_check_vehicles_count)]
 
@@ -73,22 +78,57 @@ class StartsConfig(ConfigModel):
     heading_deg: Ordered
 
 
+@dataclass(frozen=True)
+class LotNumbers:
+    """The numbers that n scenes draw of their lot, each of shape (n,) [m, degrees].
+
+    They have the names of their keys, and the order in which they are drawn.
+    """
+
+    slot_length_m: np.ndarray
+    slot_width_m: np.ndarray
+    aisle_width_m: np.ndarray
+    angle_deg: np.ndarray
+    pitch_m: np.ndarray  # NaN: side by side
+    end_m: np.ndarray
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Cosine and sine of the slots' angles to the aisle, shape (2, n)."""
+        return direction_of(np.radians(self.angle_deg))
+
+    @property
+    def closest_pitch_m(self) -> np.ndarray:
+        """The smallest distances along the aisle at which slots do not overlap, shape (n,)."""
+        cos, sin = np.maximum(self.direction, TINY)
+        side_by_side = self.slot_width_m / sin
+        one_behind_the_other = self.slot_length_m / cos
+        return np.minimum(side_by_side, one_behind_the_other)
+
+    @property
+    def drawn_pitch_m(self) -> np.ndarray:
+        """The distances from slot to slot along the aisle, shape (n,)."""
+        return np.where(np.isnan(self.pitch_m), self.closest_pitch_m, self.pitch_m)
+
+
+DRAWN = tuple(field.name for field in fields(LotNumbers))
+
+
 class LotConfig(ConfigModel):
     """Rows of equal slots along an aisle, in a box of four walls.
 
-    Length and width of the slots and width of the aisle are numbers, or ranges from which each
-    scene draws its own.
+    The numbers of `LotNumbers` may be ranges, from which each scene draws its own.
     """
 
-    angle_deg: Annotated[float, Field(ge=0, le=90)]  # of the slots to the aisle
-    slot_length_m: Drawn
-    slot_width_m: Drawn
-    aisle_width_m: Drawn
+    angle_deg: Angle  # of the slots to the aisle
+    slot_length_m: Length
+    slot_width_m: Length
+    aisle_width_m: Length
     # From slot to slot along the aisle; None: side by side.
-    pitch_m: Metres | None = None
+    pitch_m: Length | None = None
     slots_per_row: Annotated[int, Field(ge=1, le=100)]
     rows: Literal[1, 2]
-    end_m: Annotated[float, Field(ge=0, le=1000)]  # of the aisle, beyond the rows
+    end_m: Length  # of the aisle, beyond the rows
     dead_end: bool
     heading: Literal["in", "out"]
     neighbours: Literal["any", "taken"]
@@ -109,7 +149,13 @@ class LotConfig(ConfigModel):
     @property
     def handed(self) -> bool:
         """Whether walls and slots differ when they are mirrored, x to -x."""
-        return self.dead_end or self.angle_deg not in (0, 90)
+        return self.dead_end or bounds(self.angle_deg) not in ((0, 0), (90, 90))
+
+    @property
+    def ranges(self) -> np.ndarray:
+        """The lowest and the highest of the numbers of `LotNumbers`, shape (2, 6)."""
+        ranges = [bounds(getattr(self, name)) for name in DRAWN]
+        return np.array(ranges, dtype=np.float64).T
 
     def vehicles_range(self, of_env: Any) -> tuple[int, int]:
         """Return the lowest and the highest number of parked cars of a scene.
@@ -120,29 +166,41 @@ class LotConfig(ConfigModel):
             return bounds(of_env)
         return bounds(self.vehicles_count)
 
-    def closest_pitch_m(self, slot_length_m: Lengths, slot_width_m: Lengths) -> np.ndarray:
-        """Return the smallest distances along the aisle at which slots of some sizes do not
-        overlap.
+    def numbers(self, shares: np.ndarray) -> LotNumbers:
+        """Return the numbers of n scenes.
+
+        Args:
+            shares: how far they are from the lowest number, 0, to the highest, 1. Shape (n, 6), or
+                (n, 1) if they are the same for all numbers.
         """
-        angle = math.radians(self.angle_deg)
-        side_by_side = slot_width_m / max(math.sin(angle), TINY)
-        one_behind_the_other = slot_length_m / max(math.cos(angle), TINY)
-        return np.minimum(side_by_side, one_behind_the_other)
+        low, high = self.ranges
+        numbers = low + shares * (high - low)
+        return LotNumbers(*numbers.T)
 
-    def drawn_pitch_m(self, slot_length_m: Lengths, slot_width_m: Lengths) -> np.ndarray:
-        """Return the distances from slot to slot along the aisle, for slots of some sizes."""
-        closest = self.closest_pitch_m(slot_length_m, slot_width_m)
-        if self.pitch_m is None:
-            return closest
-        return np.full_like(closest, self.pitch_m)
+    def extremes(self) -> LotNumbers:
+        """Return numbers among which are those of the smallest and of the largest lot."""
+        _, length = bounds(self.slot_length_m)
+        _, width = bounds(self.slot_width_m)
+        diagonal = np.degrees(np.arctan2(width, length))
+        # Rows and the closest pitch are longest where a diagonal of the slots is along the aisle.
+        # Slots are deepest where it is across. Away from these angles all of them only shrink, so
+        # they are smallest at an end of the range. With all other numbers they only grow.
+        angles = np.clip([0.0, diagonal, 90.0 - diagonal, 90.0], *bounds(self.angle_deg))
+        shares = np.repeat([0.0, MAX_SHARE], len(angles))
+        numbers = self.numbers(shares[:, None])
+        return replace(numbers, angle_deg=np.tile(angles, 2))
 
-    def half_row_m(self, slot_length_m: Lengths, slot_width_m: Lengths) -> np.ndarray:
-        """Return half the lengths of rows of slots of some sizes."""
-        angle = np.radians(self.angle_deg)
-        slot = slot_length_m * np.cos(angle) + slot_width_m * np.sin(angle)
-        pitch = self.drawn_pitch_m(slot_length_m, slot_width_m)
-        half: np.ndarray = (slot + (self.slots_per_row - 1) * pitch) / 2
-        return half
+    def ends_m(self, numbers: LotNumbers) -> np.ndarray:
+        """Return how far the aisle goes from the middle of its rows to the left and to the right,
+        shape (2, n).
+        """
+        cos, sin = numbers.direction
+        slot = numbers.slot_length_m * cos + numbers.slot_width_m * sin
+        half_row = (slot + (self.slots_per_row - 1) * numbers.drawn_pitch_m) / 2
+        ends = half_row + np.array([numbers.end_m, numbers.end_m])
+        if self.dead_end:
+            ends[1] = half_row + GAP_M
+        return ends
 
     def problems(self, key: str, vehicles: tuple[int, int], *, walls: bool) -> Iterator[str]:
         """Yield a sentence for each reason why there can't be such a lot.
@@ -162,11 +220,10 @@ class LotConfig(ConfigModel):
             lowest, _ = bounds(getattr(self, side))
             if lowest <= car_m:
                 yield f"{key}.{side}={lowest:g}: the car is {car_m:g} m {word}"
-        _, length = bounds(self.slot_length_m)
-        _, width = bounds(self.slot_width_m)
-        needed = float(self.closest_pitch_m(length, width))
-        if self.pitch_m is not None and self.pitch_m < needed - TINY:
-            yield f"{key}.pitch_m={self.pitch_m:g}: slots overlap below {needed:.3g} m"
+        pitch, _ = bounds(self.pitch_m)
+        needed = self.extremes().closest_pitch_m.max()
+        if pitch is not None and pitch < needed - TINY:
+            yield f"{key}.pitch_m={pitch:g}: slots overlap below {needed:.3g} m"
 
     def _start_problems(self, key: str, walls: bool) -> Iterator[str]:
         starts = self.starts
@@ -181,16 +238,12 @@ class LotConfig(ConfigModel):
                 f"{key}.aisle_width_m={aisle:g}: cars that start within "
                 f"{key}.starts need {2 * farthest:.3g} m"
             )
-        right = GAP_M if self.dead_end else self.end_m
-        length, _ = bounds(self.slot_length_m)
-        width, _ = bounds(self.slot_width_m)
-        half_row = float(self.half_row_m(length, width))
-        ends = (-half_row - self.end_m, half_row + right)
-        outside = starts.x_m[0] - along <= ends[0] or starts.x_m[1] + along >= ends[1]
+        left, right = self.ends_m(self.extremes()).min(axis=1)
+        outside = starts.x_m[0] - along <= -left or starts.x_m[1] + along >= right
         if walls and outside:
             yield (
                 f"{key}.starts.x_m={starts.x_m}: cars would start in the walls, which are at "
-                f"{ends[0]:.3g} and {ends[1]:.3g} m"
+                f"{-left:.3g} and {right:.3g} m"
             )
 
     def _vehicle_problems(self, key: str, vehicles: tuple[int, int]) -> Iterator[str]:

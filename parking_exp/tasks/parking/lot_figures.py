@@ -60,7 +60,7 @@ def draw_paths(report: Any) -> Iterator[Drawing]:
         figure,
         "The lot from above: paths in the first final episodes, and the car at their ends. Of each "
         "cell, the lowest seed is shown. Where slots differ from scene to scene, each path is "
-        "moved so that its goal is the slot that is drawn.",
+        "moved, but not turned, so that its goal is where that slot is drawn.",
     )
 
 

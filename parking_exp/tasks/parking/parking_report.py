@@ -80,8 +80,8 @@ def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, 
 def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing | None:
     """Return what figures show of a cell's lot; None if it has several, which no picture shows.
 
-    Where slots differ from scene to scene, each path is moved so that its goal is the slot that is
-    drawn.
+    Where slots differ from scene to scene, each path is moved, but not turned, so that its goal is
+    where that slot is drawn.
 
     Args:
         paths: of the final episodes of one run (scene, step, outcome, and PATH_COLUMNS if there
