@@ -7,6 +7,8 @@ simulator.*            env steps/s against highway-env, random actions, 512 or 8
 simulator.*.envpool.ratio  env steps/s against EnvPool in one thread, 1 to 16 scenes at once; no
                        target
 evaluation.*           seconds to evaluate a trained policy on 500 scenes
+decision.*.ms          milliseconds of pretrained/parallel, and of the planner once it has a plan,
+                       for an action in one scene; no target
 update.*               updates/s, sampling included, against Stable-Baselines3's train();
                        3x256 with precision=medium
 update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer;

@@ -24,6 +24,7 @@ def test_chosen_figures_are_measured_printed_and_added_to_the_file(tmp_path):
     assert list(first) == ["simulator.n8.ratio"]
     figures, printed = benchmark(
         tmp_path,
+        "decision",
         "simulator.crowded",
         "update.ddpg.2x64",
         "run.tutorial",
@@ -32,6 +33,7 @@ def test_chosen_figures_are_measured_printed_and_added_to_the_file(tmp_path):
         "sweep.resume",
     )
     assert sorted(figures) == [
+        "decision.agent.ms", "decision.planner.ms",
         "her.bytes_per_transition", "her.sample.capacity_ratio", "her.sample.ratio",
         "run.tutorial.ratio", "simulator.crowded.8_seen.n512.ratio", "simulator.crowded.n512.ratio", "simulator.n8.ratio",
         "sweep.overhead_s_per_run", "sweep.resume_scan_s.1000_runs", "update.ddpg.2x64.ratio",
