@@ -128,7 +128,7 @@ def test_commands_run(first, tmp_path):
 
 
 @pytest.mark.slow
-def test_runs_start_from_others_as_the_page_on_runs_shows(tmp_path):
+def test_runs_start_from_other_agents_as_their_page_shows(tmp_path):
     """With few env steps and envs; pretrained weights, a longer training, a curriculum."""
     few = (
         "total_timesteps=2500",
@@ -138,9 +138,8 @@ def test_runs_start_from_others_as_the_page_on_runs_shows(tmp_path):
         "evaluation.video_episodes=0",
         "tracking.mlflow=false",
     )
-    text = (ROOT / "docs" / "runs.md").read_text()
-    section = re.search(r"^## Starting from another run\n(.*?)^##", text, re.MULTILINE | re.DOTALL)
-    lines = re.findall(r"^python scripts/train\.py (.*)$", section[1], re.MULTILINE)
+    text = (ROOT / "docs" / "starting.md").read_text()
+    lines = re.findall(r"^python scripts/train\.py (.*)$", text, re.MULTILINE)
     assert sum("init=" in line for line in lines) == 3
     for line in lines:
         words = shlex.split(line)
