@@ -60,7 +60,7 @@ def test_a_lot_is_simulated_as_highway_env_does_in_many_scenes(lot, level, kind)
     "overrides",
     [
         ["lot.rows=1", "vehicles_count=6"],
-        ["lot.angle_deg=30", "lot.heading=out", "lot.pitch_m=12"],
+        ["lot.angle_deg=30", "lot.heading=out", "lot.pitch_m=12", "standing_reward=-0.3"],
         ["lot.neighbours=any", "vehicles_count=0", "add_walls=false"],
         ["lot.angle_deg=[30,90]", "level=normal", "observation.rays=8"],
         ["lot.angle_deg=[0,30]", "lot.pitch_m=[9,10]", "lot.end_m=[8,12]", "lot.dead_end=true"],
@@ -323,6 +323,28 @@ def test_success_is_parked_between_the_lines_of_this_slot(ahead, speed, slot_len
     sparse, success = reward_of(config)(achieved, goal(4, 5, 0.0), np.array([slot_length, 3.0]))
     assert success == parked
     assert sparse == (0.0 if parked else -1.0)
+
+
+@pytest.mark.parametrize("reward", ["dense", "sparse"])
+def test_standing_outside_the_slot_costs_more_the_slower_the_car_is(reward):
+    plain = reward_of(env_config("parking_parallel", f"reward={reward}"))
+    changed = reward_of(env_config("parking_parallel", f"reward={reward}", "standing_reward=-0.3"))
+    size = np.array([8.0, 3.0])
+
+    def added(ahead, speed):
+        achieved = goal(4 + ahead, 5, 0.0, speed)
+        before, _ = plain(achieved, goal(4, 5, 0.0), size)
+        return changed(achieved, goal(4, 5, 0.0), size)[0] - before
+
+    speeds = [0.0, 0.1, -0.1, 0.25, 0.5, 3.0]
+    costs = [added(3.0, speed) for speed in speeds]
+    assert costs == pytest.approx([-0.3, -0.24, -0.24, -0.15, 0.0, 0.0], abs=1e-12)
+    assert added(0.5, 0.0) == 0  # parked
+
+
+def test_standing_costs_nothing_on_highway_envs_own_lot():
+    with pytest.raises(ConfigError, match=r"env.standing_reward=-0.3: other lots"):
+        env_config("parking", "standing_reward=-0.3")
 
 
 def test_training_tells_her_the_size_of_the_slot():

@@ -24,6 +24,7 @@ OUR_KEYS = {
     "reward",
     "training_duration",
     "training_success_goal_reward",
+    "standing_reward",
     "starts",
     "obstacles",
     "lot",
@@ -97,6 +98,7 @@ class ParkingConfig(TaskConfig):
         "simulator",
         "reward",
         "collision_reward",
+        "standing_reward",
         "training_duration",
         "training_success_goal_reward",
         "starts",
@@ -128,6 +130,8 @@ class ParkingConfig(TaskConfig):
     ]
     success_goal_reward: PositiveFloat
     collision_reward: float
+    # Left out of stored configs where it is the default.
+    standing_reward: Annotated[float, Field(le=0, exclude_if=not_)] = 0.0
     steering_range: PositiveFloat
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
     # episode_steps() counts duration x policy_frequency steps.
@@ -240,6 +244,11 @@ class ParkingConfig(TaskConfig):
         lots = self.parametric_lots
         if not lots and self.vehicles_range[1] > MAX_VEHICLES:
             yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"
+        if self.standing_reward and not lots:
+            yield (
+                f"env.standing_reward={self.standing_reward:g}: other lots than highway-env's own "
+                "only have it"
+            )
         if lots and self.obstacles:
             yield f"env.obstacles={self.obstacles}: highway-env's own lot only has obstacles"
         for key, lot in lots.items():

@@ -13,7 +13,7 @@ from parking_exp.tasks.parking.parking_config import (
     DEFAULT_SCALES,
     ParkingConfig,
 )
-from parking_exp.tasks.parking.pose import is_parked
+from parking_exp.tasks.parking.pose import PARKED_SPEED_MPS, is_parked
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,7 @@ class ParkingReward:
     failure_penalty: float  # what a crash adds to the reward
     # Whether the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance.
     sparse: bool
+    standing_reward: float  # what standing outside the slot adds on other lots than highway-env's
 
     failure_key = "crashed"
     info_keys: ClassVar[tuple[str, ...]] = ()
@@ -42,6 +43,7 @@ class ParkingReward:
             threshold=-config.success_goal_reward,
             failure_penalty=config.collision_reward,
             sparse=config.reward == "sparse",
+            standing_reward=config.standing_reward,
         )
 
     def __call__(
@@ -64,7 +66,8 @@ class LotReward(ParkingReward):
 
     The weights are of the distances along and across the slot, of the velocities along and across
     it, and of 1 minus the cosine and the sine of the heading relative to the slot. So slots of all
-    angles mean the same.
+    angles mean the same. Where the car is not parked, `standing_reward` is added in full to a step
+    that ends at a speed of 0, and less of it up to 0.5 m/s.
     """
 
     info_keys = ("slot_length_m", "slot_width_m")
@@ -83,19 +86,29 @@ class LotReward(ParkingReward):
         x, y, vx, vy = np.moveaxis(achieved[..., :4] - desired[..., :4], -1, 0)
         ahead, side = in_frame((x, y), slot)
         cos_error, sin_error = in_frame((achieved[..., 4], achieved[..., 5]), slot)
-        parked = is_parked(
-            ahead * DEFAULT_SCALES[0],
-            side * DEFAULT_SCALES[1],
-            np.arctan2(sin_error, cos_error),
-            np.sqrt(vx * vx + vy * vy) * DEFAULT_SCALES[2],
-            info[..., 0],
-            info[..., 1],
+        speed_mps = np.sqrt(vx * vx + vy * vy) * DEFAULT_SCALES[2]
+        parked = np.asarray(
+            is_parked(
+                ahead * DEFAULT_SCALES[0],
+                side * DEFAULT_SCALES[1],
+                np.arctan2(sin_error, cos_error),
+                speed_mps,
+                info[..., 0],
+                info[..., 1],
+            )
         )
+
         if self.sparse:
-            return np.where(parked, 0.0, -1.0), np.asarray(parked)
-        velocities = in_frame((vx, vy), slot)
-        distances = np.stack([ahead, side, *velocities, 1.0 - cos_error, sin_error], axis=-1)
-        return -np.sqrt(np.vecdot(np.abs(distances), self.weights)), np.asarray(parked)
+            reward = np.where(parked, 0.0, -1.0)
+        else:
+            velocities = in_frame((vx, vy), slot)
+            distances = np.stack([ahead, side, *velocities, 1.0 - cos_error, sin_error], axis=-1)
+            reward = -np.sqrt(np.vecdot(np.abs(distances), self.weights))
+
+        if self.standing_reward:
+            slowness = np.maximum(0.0, 1.0 - speed_mps / PARKED_SPEED_MPS)
+            reward = reward + self.standing_reward * slowness * ~parked
+        return reward, parked
 
 
 def reward_of(config: ParkingConfig) -> ParkingReward:
