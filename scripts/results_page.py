@@ -119,8 +119,8 @@ class Experiment:
         """Return the median CPU seconds of a cell's runs to 90 %."""
         return formats.number(self.cell(label).median_cpu_s)
 
-    def reaching(self, label: str, threshold: float) -> str:
-        """Return how many seeds of a cell reach a final success: `99/100`."""
+    def ending_at(self, label: str, threshold: float) -> str:
+        """Return how many seeds of a cell end at a success or above: `99/100`."""
         rates = np.asarray(seed_rates(self.cell(label)).rates)
         return f"{np.count_nonzero(rates >= threshold)}/{len(rates)}"
 
@@ -152,7 +152,7 @@ class Experiment:
         median = float(np.median(self._cpu_s_to_95(label)))
         return formats.number(median)
 
-    def reaching_95(self, label: str) -> str:
+    def holding_95(self, label: str) -> str:
         """Return in how many seeds of a cell success stays at 95 %, e.g. `9/10`."""
         times = self._cpu_s_to_95(label)
         return f"{np.isfinite(times).sum()}/{len(times)}"
@@ -219,7 +219,7 @@ class Experiment:
             return ""
         if isinstance(value, Integral):
             return f"{value:,}"
-        return formats.setting(value)
+        return formats.display_setting(value)
 
     @cached_property
     def _runs(self) -> pd.DataFrame:

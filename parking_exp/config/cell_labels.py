@@ -50,17 +50,17 @@ def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Settin
     return flat
 
 
-def setting_text(value: Setting) -> str:
-    """Return a setting as text, for stores and tables; `parse_value` is its inverse.
+def encode_setting(value: Setting) -> str:
+    """Return a setting as text, for stores and tables; `decode_setting` is its inverse.
 
     A text that would be read as anything else is in double quotes.
     """
-    if isinstance(value, str) and parse_value(value) != value:
+    if isinstance(value, str) and decode_setting(value) != value:
         return json.dumps(value, ensure_ascii=False)
     return str(value)
 
 
-def parse_value(text: str | None) -> Setting:
+def decode_setting(text: str | None) -> Setting:
     """Return the setting that a text stands for: None, a bool, a number or a text; lists and
     mappings are text.
     """
@@ -238,11 +238,11 @@ def label_factors(factors: Sequence[Factor], settings: Mapping[str, Setting]) ->
             continue
         is_option = factor.key in (*GROUPS, EXPERIMENT, LABEL)
         prefix = "" if is_option else f"{factor.name}="
-        parts.append(prefix + setting(value))
+        parts.append(prefix + display_setting(value))
     return ", ".join(parts)
 
 
-def setting(value: Any) -> str:
+def display_setting(value: Any) -> str:
     """Write a config value as YAML would, numbers with six digits."""
     return f"{value:.6g}" if isinstance(value, float) else yaml_text(value)
 

@@ -12,9 +12,9 @@ from pydantic import NonNegativeInt
 
 from parking_exp.config.cell_labels import (
     Setting,
+    display_setting,
     find_factors,
     label_factors,
-    setting,
     settings_of,
     with_defaults,
 )
@@ -116,7 +116,7 @@ class Evaluation:
         changes = self.changes
         if not changes or "name" in changes:
             return self.env.name
-        texts = [f"{key}={setting(value)}" for key, value in changes.items()]
+        texts = [f"{key}={display_setting(value)}" for key, value in changes.items()]
         return f"{self.env.name} ({', '.join(texts)})"
 
     @property

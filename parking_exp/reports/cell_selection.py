@@ -17,11 +17,11 @@ from parking_exp.config.cell_labels import (
     Factor,
     Setting,
     can_matter,
+    display_setting,
     find_factors,
     hashable,
     label_cells,
     labels_from_factors,
-    setting,
 )
 from parking_exp.config.overrides import without_quotes
 from parking_exp.errors import ConfigError, suggestion
@@ -163,7 +163,7 @@ def _list_words(cell: CellRuns) -> set[str]:
     words = {cell.label, cell.name, *cell.label.split(", ")}
     for key, value in {**cell.config, **cell.settings}.items():
         if can_matter(key) or key == LABEL:
-            text = _normalise(setting(value))
+            text = _normalise(display_setting(value))
             words.add(f"{key.removesuffix('.name')}={text}")
             ending = key
             while ending:
@@ -220,7 +220,7 @@ def _normalise(text: str) -> str:
     """Return a value without spaces, and a number as settings are written: `2e-3` is 0.002."""
     bare = text.replace(" ", "")
     try:
-        return setting(float(bare))
+        return display_setting(float(bare))
     except ValueError:
         return bare
 

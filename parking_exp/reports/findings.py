@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from parking_exp.config.cell_labels import setting
+from parking_exp.config.cell_labels import display_setting
 from parking_exp.errors import quoted_label
 from parking_exp.reports.cell_comparisons import judge
 from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
@@ -114,7 +114,7 @@ def _describe_factors(report: ReportData) -> Iterator[str]:
             parts.append(p_value(effect.p))
         verdict = LEVEL_VERDICTS.get(judge(effect.largest), "")
         yield (
-            f"{report.factor_names[effect.factor]}: {verdict}{setting(high.level)} "
-            f"({rate_interval(high.effect)}) minus {setting(low.level)} "
+            f"{report.factor_names[effect.factor]}: {verdict}{display_setting(high.level)} "
+            f"({rate_interval(high.effect)}) minus {display_setting(low.level)} "
             f"({rate_interval(low.effect)}), averaged over other factors: {', '.join(parts)}."
         )

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from parking_exp.config.cell_labels import setting
+from parking_exp.config.cell_labels import display_setting
 from parking_exp.reports.report_data import Verdict
 from parking_exp.statistics import Interval, finite_or_none
 
@@ -109,7 +109,7 @@ def words(value: Any) -> str:
 
 def level(value: Any) -> str:
     """Write a factor's level; a control that has no such key has none."""
-    return "none" if value is None else setting(value)
+    return "none" if value is None else display_setting(value)
 
 
 def _write_bounds(interval: Interval, write: Callable[[float | None], str]) -> str:

@@ -18,7 +18,7 @@ from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_files import write_report
 from parking_exp.reports.report_request import ReportRequest
-from parking_exp.reports.search_report import add_search, add_tuning
+from parking_exp.reports.search_report import with_search, with_stored_search
 from parking_exp.reports.sections import Section, load_sections
 from parking_exp.results.frame_export import (
     REPORT,
@@ -40,7 +40,7 @@ class ReportSource(NamedTuple):
     """What a report is made of: results of experiments, and an export's search."""
 
     results: Results
-    tuning: StoredSearch | None = None
+    search: StoredSearch | None = None
 
 
 def make_report(request: ReportRequest) -> Path:
@@ -115,8 +115,8 @@ def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
         command=shlex.join([*program("report").split(), *sys.argv[1:]]),
     )
     if request.source is None:
-        return add_search(report, request.output_path)
-    return add_tuning(report, source.tuning) if source.tuning else report
+        return with_stored_search(report, request.output_path)
+    return with_search(report, source.search) if source.search else report
 
 
 def _write_files(
@@ -139,8 +139,8 @@ def write_report_export(
 ) -> None:
     """Write the export of a report: all of its experiments, or the runs of its cells alone."""
     results = _select_cells(source.results, report) if only_cells else source.results
-    tuning = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
-    write_export(results, folder, {"report": {"tuning": tuning}})
+    search = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
+    write_export(results, folder, {"report": {"tuning": search}})
 
 
 def read_report_export(folder: str) -> ReportSource:
@@ -148,11 +148,11 @@ def read_report_export(folder: str) -> ReportSource:
     results = read_export(folder)
     try:
         stored = results.about.get("report", {}).get("tuning")
-        tuning = TypeAdapter(StoredSearch | None).validate_python(stored)
+        search = TypeAdapter(StoredSearch | None).validate_python(stored)
     except (ValidationError, AttributeError) as error:
         path = Path(folder) / REPORT
         raise ResultsError(f"{path} can't be read: it does not describe a report") from error
-    return ReportSource(results, tuning)
+    return ReportSource(results, search)
 
 
 def _select_cells(results: Results, report: ReportData) -> Results:

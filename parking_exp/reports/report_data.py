@@ -176,7 +176,7 @@ class ReportData:
     notes: Sequence[str] = ()
     reference: str | None = None  # id of the cell in all pairs, if any: the baseline or the best
     declared: bool = False  # whether the pairs are contrasts
-    tuning: "StoredSearch | None" = None
+    tuning: "StoredSearch | None" = None  # the search; the name is that of `report.json`
 
     def cell(self, cell_id: str) -> CellSummary:
         """Return a cell by its id."""

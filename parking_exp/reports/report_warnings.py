@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from parking_exp.config.cell_labels import Setting, setting
+from parking_exp.config.cell_labels import Setting, display_setting
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.report_data import ReportData
 from parking_exp.tasks.registry import TRAINING_ONLY
@@ -76,7 +76,7 @@ def _find_mixed(report: ReportData) -> Iterator[str]:
     budgets = [cell.total_timesteps for cell in report.cells]
     conditions["total_timesteps"] = [steps for steps in budgets if steps]  # 0: it is not trained
     for condition, seen in conditions.items():
-        names = [setting(value) for value in dict.fromkeys(seen)]
+        names = [display_setting(value) for value in dict.fromkeys(seen)]
         if len(names) > 1:
             yield f"Mixed {condition}: {list_names(names)}."
     if any(commit.endswith("+") for commit in origin.commits):

@@ -26,31 +26,31 @@ from parking_exp.tuning.search import StoredSearch, read_search
 from parking_exp.tuning.trials import RetestedTrial, describe_states, rank_trials
 
 
-def add_search(report: ReportData, output_dir: Path) -> ReportData:
+def with_stored_search(report: ReportData, output_dir: Path) -> ReportData:
     """Return a report with the first search of its experiments, or with a warning about it."""
     names = [name for name in report.experiments if re.fullmatch(NAME, name)]
     for folder in [output_dir / name for name in names]:
         try:
-            tuning = read_search(folder)
-            if tuning is not None:
-                return add_tuning(report, tuning)
+            search = read_search(folder)
+            if search is not None:
+                return with_search(report, search)
         except ParkingError as error:
             warning = f"The search of {folder.name} is left out: {first_line(error).rstrip('.')}."
             return replace(report, warnings=[*report.warnings, warning])
     return report
 
 
-def add_tuning(report: ReportData, tuning: StoredSearch) -> ReportData:
+def with_search(report: ReportData, search: StoredSearch) -> ReportData:
     """Return a report with a search, what it found, and a warning about comparing its cells."""
     claims = [*report.claims]
     remedy = "none was retrained on test seeds"
-    if tuning.retested:
-        best = tuning.retested[0]
+    if search.retested:
+        best = search.retested[0]
         remedy = "compare the trials retrained on test seeds"
         claims.insert(
             0,
             f"On {plural(len(best.test), 'test seed')}, “{best.label}” is the best of "
-            f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objective} "
+            f"{plural(len(search.retested), 'retrained trial')}: {search.objective} "
             f"{formats.rate_interval(mean_interval(best.test))}; "
             f"tuning minus test {formats.points_interval(_compare_seeds(best))}.",
         )
@@ -58,7 +58,7 @@ def add_tuning(report: ReportData, tuning: StoredSearch) -> ReportData:
         "Cells of a search include runs on the tuning seeds that trials were selected by; "
         f"{remedy}."
     )
-    return replace(report, tuning=tuning, claims=claims, warnings=[*report.warnings, warning])
+    return replace(report, tuning=search, claims=claims, warnings=[*report.warnings, warning])
 
 
 def _compare_seeds(trial: RetestedTrial) -> Interval:
@@ -68,44 +68,44 @@ def _compare_seeds(trial: RetestedTrial) -> Interval:
 
 def describe_search(report: ReportData) -> Iterator[str]:
     """Yield the paragraph about a search: its trials, and the best of them."""
-    tuning = report.tuning
-    if tuning is None:
+    search = report.tuning
+    if search is None:
         return
     text = (
-        f"{plural(tuning.n_trials, 'trial')} (sampler {tuning.sampler}, pruner "
-        f"{tuning.pruner or 'none'}): {describe_states(tuning.trials, tuning.n_trials)}. "
-        f"Objective: {tuning.objective}, mean over {plural(tuning.n_seeds, 'tuning seed')}."
+        f"{plural(search.n_trials, 'trial')} (sampler {search.sampler}, pruner "
+        f"{search.pruner or 'none'}): {describe_states(search.trials, search.n_trials)}. "
+        f"Objective: {search.objective}, mean over {plural(search.n_seeds, 'tuning seed')}."
     )
-    for best in rank_trials(tuning.trials)[:1]:
+    for best in rank_trials(search.trials)[:1]:
         text += f" The best is “{best.label}” with {formats.rate_text(best.value)}."
     yield text
 
 
 def trial_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of a search's trials."""
-    tuning = report.tuning
-    if tuning is None:
+    search = report.tuning
+    if search is None:
         return
     columns = [
         Column("Trial", "number", formats.number, numeric=False),
         text_column("State", "state"),
-        Column(tuning.objective, tuning.objective, formats.percent),
+        Column(search.objective, search.objective, formats.percent),
     ]
-    for name, distribution in tuning.parameters.items():
+    for name, distribution in search.parameters.items():
         is_number = distribution.get("name") != "CategoricalDistribution"
         columns.append(Column(name, name, _write_parameter, numeric=is_number))
-    if any(trial.reason for trial in tuning.trials):
+    if any(trial.reason for trial in search.trials):
         columns.append(text_column("Why it failed", "reason"))
 
     rows = []
-    for trial in tuning.trials:
-        row: dict[str, Any] = {tuning.objective: trial.value}
-        row |= dict.fromkeys(tuning.parameters)
+    for trial in search.trials:
+        row: dict[str, Any] = {search.objective: trial.value}
+        row |= dict.fromkeys(search.parameters)
         row |= trial.parameters
         row |= record(trial)
         row["label"] = trial.label
         rows.append(row)
-    caption = f"Trials: means over {tuning.n_seeds} tuning seeds (%), and parameters."
+    caption = f"Trials: means over {search.n_seeds} tuning seeds (%), and parameters."
     yield Table("trials", rows, columns, caption, latex=True)
 
 
@@ -113,16 +113,16 @@ def _write_parameter(value: Any) -> str:
     """Write a parameter, which trial 0 may lack."""
     if value is None:
         return ""
-    return f"{value:.3g}" if isinstance(value, float) else formats.setting(value)
+    return f"{value:.3g}" if isinstance(value, float) else formats.display_setting(value)
 
 
 def retest_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of the trials that were trained again on test seeds."""
-    tuning = report.tuning
-    if tuning is None or not tuning.retested:
+    search = report.tuning
+    if search is None or not search.retested:
         return
     rows = []
-    for trial in tuning.retested:
+    for trial in search.retested:
         row: dict[str, Any] = {"number": trial.number, "label": trial.label}
         row |= {"n_tuning": len(trial.tuning), "n_test": len(trial.test)}
         row |= spread("tuning", mean_interval(trial.tuning))
@@ -136,7 +136,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
     ]
     caption = (
         "The best trials and trial 0, the unchanged config, trained again on seeds that no trial "
-        f"was selected by: {tuning.objective} (%), with 95 % intervals. Values on tuning seeds are "
+        f"was selected by: {search.objective} (%), with 95 % intervals. Values on tuning seeds are "
         "optimistic for the best of many."
     )
     yield Table("retest", rows, columns, caption, latex=True)

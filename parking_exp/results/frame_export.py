@@ -14,7 +14,7 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.config.cell_labels import parse_value, setting_text
+from parking_exp.config.cell_labels import decode_setting, encode_setting
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.frames import (
@@ -123,7 +123,7 @@ def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """
     kept = runs.drop(columns=[*LOCAL_COLUMNS], errors="ignore")
     config = kept.filter(regex=r"^config\.").astype(object)
-    kept = kept.assign(**config.where(config.notna(), None).map(setting_text))
+    kept = kept.assign(**config.where(config.notna(), None).map(encode_setting))
     texts = kept.select_dtypes(["object", "string"]).drop(columns=LABEL_COLUMNS, errors="ignore")
     return kept.assign(**texts.map(without_paths, na_action="ignore"))
 
@@ -166,7 +166,7 @@ def _read_runs(path: Path) -> pd.DataFrame:
 
 def config_column(texts: Iterable[str | None]) -> pd.Series:
     """Return the typed values of a config key."""
-    return setting_column([parse_value(text) for text in texts])
+    return setting_column([decode_setting(text) for text in texts])
 
 
 def _read_curves(path: Path, runs: pd.DataFrame) -> pd.DataFrame:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from parking_exp.config.cell_labels import setting_text, settings_of
+from parking_exp.config.cell_labels import encode_setting, settings_of
 from parking_exp.config.paths import resolved
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file
@@ -125,7 +125,7 @@ def _write_content(store: Store, run: "Run", snapshot: RunSnapshot) -> None:
     """Write the parameters, tags, metrics, files and MLflow's own status of a run."""
     files = snapshot.files
     settings = settings_of(snapshot.config.plain())
-    params = {key: setting_text(value)[:MAX_PARAM_LENGTH] for key, value in settings.items()}
+    params = {key: encode_setting(value)[:MAX_PARAM_LENGTH] for key, value in settings.items()}
     metrics = list(_new_metrics(run, files.get(METRICS_FILE)))
     store.log(run, params, snapshot.tags, metrics)
     for name, file in files.items():

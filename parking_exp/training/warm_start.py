@@ -11,7 +11,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.model_files import load_networks
 from parking_exp.algorithms.policy_files import load_policy
-from parking_exp.config.cell_labels import Setting, differing_keys, setting, settings_of
+from parking_exp.config.cell_labels import Setting, differing_keys, display_setting, settings_of
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.evaluation.agents import Agent
@@ -115,6 +115,7 @@ def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) 
     for key in differing_keys([own, source]):
         if key.startswith(keys):
             raise ConfigError(
-                f"init={config.init} does not fit: its {key} is {setting(source.get(key))}, and "
-                f"this run's is {setting(own.get(key))}"
+                f"init={config.init} does not fit: its {key} is "
+                f"{display_setting(source.get(key))}, and this run's is "
+                f"{display_setting(own.get(key))}"
             )

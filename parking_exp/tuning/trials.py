@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import Field, FiniteFloat, TypeAdapter
 from rich.table import Table
 
-from parking_exp.config.cell_labels import setting
+from parking_exp.config.cell_labels import display_setting
 from parking_exp.errors import plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.locks import is_held
@@ -54,13 +54,18 @@ class TrialRow:
         changed = []
         for key, value in self.changes.items():
             group, _, name = key.rpartition(".")
-            changed.append(f"{name}={setting(value)}" if group else setting(value))
+            changed.append(f"{name}={display_setting(value)}" if group else display_setting(value))
         return f"trial {self.number}: {', '.join(changed) or 'unchanged'}"
 
 
 @dataclass(frozen=True)
 class RetestedTrial:
-    """A trial that was trained again on test seeds, with its objective on each seed."""
+    """A trial that was trained again on test seeds.
+
+    Attributes:
+        tuning: objective on each tuning seed.
+        test: objective on each test seed.
+    """
 
     number: int
     label: str

@@ -11,7 +11,7 @@ from support.store_factory import Look, make_store
 
 from parking_exp.reports.make_report import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.search_report import add_tuning
+from parking_exp.reports.search_report import with_search
 from parking_exp.results import load, write_export
 from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.trials import TrialRow
@@ -116,17 +116,17 @@ def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
     search = StoredSearch(
         "one", "tpe", None, 2, "success_auc", 2, {"algorithm.gamma": kind}, [trial], retested=[]
     )
-    data = add_tuning(report_of(source), search)
+    data = with_search(report_of(source), search)
     write_report_export(source, data, tmp_path / "one", only_cells=False)
     export = read_report_export(str(tmp_path / "one"))
-    assert export.tuning == search
-    assert add_tuning(report_of(export), export.tuning).claims == data.claims
+    assert export.search == search
+    assert with_search(report_of(export), export.search).claims == data.claims
 
 
 def test_an_export_written_in_python_has_the_same_report(source, folder, tmp_path):
     write_export(source.results, tmp_path / "own")
     own = read_report_export(str(tmp_path / "own"))
-    assert own.tuning is None
+    assert own.search is None
     assert report_of(own).claims == report_of(read_report_export(str(folder))).claims
     report(tmp_path, "from=own", "report.formats=[]")
     assert (tmp_path / "reports" / "one" / "index.html").is_file()

@@ -19,9 +19,9 @@ from parking_exp.reports.figures.study_figures import (
 )
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.search_report import (
-    add_search,
-    add_tuning,
     describe_search,
+    with_search,
+    with_stored_search,
 )
 from parking_exp.reports.sections import SECTIONS, draw, section_contents
 from parking_exp.runs.atomic_files import write_json
@@ -80,7 +80,7 @@ def write_retest(folder, *trials):
     write_json(folder / "retest.json", {"trials": items})
 
 
-def tuning(folder, trials):
+def stored_search(folder, trials):
     """What a report has of a search with these trials."""
     add(folder, *trials)
     write_search(folder, n_trials=len(trials))
@@ -90,7 +90,7 @@ def tuning(folder, trials):
 def many(folder):
     """A search whose values follow from the learning rate alone."""
     buffers = ("her_future", "replay")
-    return tuning(
+    return stored_search(
         folder, [trial(k / 20, rate=10 ** (-4 + k / 10), buffer=buffers[k % 2]) for k in range(20)]
     )
 
@@ -104,7 +104,7 @@ def folder(tmp_path):
 @pytest.fixture
 def begun(folder):
     """The folder of a search with two of three trials."""
-    tuning(folder, [trial(0.5), trial(0.25, rate=2e-3)])
+    stored_search(folder, [trial(0.5), trial(0.25, rate=2e-3)])
     write_search(folder)
     return folder
 
@@ -114,10 +114,10 @@ def example():
     return report_factory.report(2, 2)
 
 
-def report(*experiments, tuning=None):
+def report(*experiments, search=None):
     """A report on these experiments, with a search."""
     plain = replace(example(), experiments=list(experiments), warnings=[])
-    return add_tuning(plain, tuning) if tuning else plain
+    return with_search(plain, search) if search else plain
 
 
 def written(whole, folder):
@@ -133,7 +133,7 @@ def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
     write_retest(folder, (0, [0.5], [0.5]))  # one seed: no interval
     search = many(folder)
     assert search.parameters["buffer"]["attributes"]["choices"] == ["her_future", "replay"]
-    plain = json.loads(json.dumps(report(tuning=search).plain(), allow_nan=False))
+    plain = json.loads(json.dumps(report(search=search).plain(), allow_nan=False))
     exported = TypeAdapter(StoredSearch).validate_python(plain["tuning"])
     assert exported == search
     importances = optuna.importance.get_param_importances(rebuild_study(exported))
@@ -142,19 +142,19 @@ def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
 
 
 def test_importance_takes_trials_that_differ(tmp_path):
-    assert len([*draw_parameter_importance(report(tuning=many(tmp_path / "smoke")))]) == 1
+    assert len([*draw_parameter_importance(report(search=many(tmp_path / "smoke")))]) == 1
     few = [trial(k / 20, rate=1e-3 + k * 1e-4) for k in range(MIN_TRIALS - 1)]
     same = [trial(0.5, rate=1e-3 + k * 1e-4) for k in range(MIN_TRIALS)]
     for name, trials in (("few", few), ("same", same)):
-        search = tuning(tmp_path / name / "smoke", trials)
-        assert not [*draw_parameter_importance(report(tuning=search))]
+        search = stored_search(tmp_path / name / "smoke", trials)
+        assert not [*draw_parameter_importance(report(search=search))]
 
 
 def test_retrained_trials_have_intervals_and_so_has_tuning_minus_test(folder, tmp_path):
     tuned, test = [0.9, 0.8], [0.7, 0.6, 0.8]
     folder.mkdir()
     write_retest(folder, (1, tuned, test), (0, [0.5, 0.4], [0.5, 0.4, 0.6]))
-    whole = report(tuning=tuning(folder, [trial(0.45), trial(0.85)]))
+    whole = report(search=stored_search(folder, [trial(0.45), trial(0.85)]))
     claim = whole.claims[0]
     assert claim.startswith(
         "On 3 test seeds, “trial 1: unchanged” is the best of 2 retrained trials: "
@@ -176,8 +176,8 @@ def test_retrained_trials_have_intervals_and_so_has_tuning_minus_test(folder, tm
 
 
 def test_figures_and_tables_show_the_trials(folder, tmp_path):
-    search = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial()])
-    whole = report(tuning=search)
+    search = stored_search(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial()])
+    whole = report(search=search)
     drawn = draw(whole, tmp_path / "figures", [], OWN)
     assert [figure.name for figure in drawn] == ["optimisation_history", "slices"]
     (text,) = describe_search(whole)
@@ -192,7 +192,7 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
 def test_without_a_search_there_is_nothing_of_it(tmp_path):
     plain = report("one", "../two")
     (tmp_path / "one").mkdir()
-    assert add_search(plain, tmp_path) == plain
+    assert with_stored_search(plain, tmp_path) == plain
     assert draw(plain, tmp_path, [], OWN) == []
     assert not any(
         content.tables or [*content.text] for content in section_contents(plain, sections=OWN)
@@ -201,7 +201,7 @@ def test_without_a_search_there_is_nothing_of_it(tmp_path):
 
 def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     write_search(begun.parent / "later")
-    whole = add_search(report("none", "smoke", "later"), begun.parent)
+    whole = with_stored_search(report("none", "smoke", "later"), begun.parent)
     assert [trial.value for trial in whole.tuning.trials] == [0.5, 0.25]
     assert (whole.tuning.experiment, whole.tuning.n_trials) == ("smoke", 3)
     (warning,) = whole.warnings
@@ -220,7 +220,7 @@ def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
 def test_a_search_that_is_damaged_is_left_out_with_a_warning(begun, damage, words):
     damage(begun)
     plain = report("smoke")
-    whole = add_search(plain, begun.parent)
+    whole = with_stored_search(plain, begun.parent)
     (warning,) = whole.warnings
     assert warning.startswith("The search of smoke is left out: ") and words in warning
     assert replace(whole, warnings=plain.warnings) == plain

@@ -12,7 +12,7 @@ import pytest
 from support.runs import copy_of, read_text
 from support.store_factory import Look, compose, make_store
 
-from parking_exp.config.cell_labels import parse_value, setting_text
+from parking_exp.config.cell_labels import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
 from parking_exp.results.frame_export import FILES, LOCAL_COLUMNS, without_paths
@@ -255,5 +255,5 @@ def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports
     ],
 )
 def test_settings_come_back_from_text(value):
-    assert parse_value(setting_text(value)) == value
-    assert type(parse_value(setting_text(value))) is type(value)
+    assert decode_setting(encode_setting(value)) == value
+    assert type(decode_setting(encode_setting(value))) is type(value)

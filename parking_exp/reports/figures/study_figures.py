@@ -18,17 +18,17 @@ MAX_SLICES = 4  # in one figure
 MIN_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 
-def rebuild_study(tuning: StoredSearch) -> Any:
+def rebuild_study(search: StoredSearch) -> Any:
     """Return an in-memory study of a report's finished trials, which may be from an export."""
     import optuna
     from optuna.distributions import json_to_distribution
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     distributions = {}
-    for name, description in tuning.parameters.items():
+    for name, description in search.parameters.items():
         distributions[name] = json_to_distribution(json.dumps(description))
     study = optuna.create_study(direction="maximize")
-    for trial in tuning.trials:
+    for trial in search.trials:
         if trial.value is not None:
             study.add_trial(
                 optuna.trial.create_trial(
@@ -40,18 +40,18 @@ def rebuild_study(tuning: StoredSearch) -> Any:
     return study
 
 
-def _plot(name: str, tuning: StoredSearch, height: float = 3.0, **arguments: Any) -> Any:
+def _plot(name: str, search: StoredSearch, height: float = 3.0, **arguments: Any) -> Any:
     """Return the figure of a search that a function of `optuna.visualization.matplotlib` draws."""
     import optuna.visualization.matplotlib
     from matplotlib import pyplot
 
     matplotlib.use("agg")
     plot = getattr(optuna.visualization.matplotlib, name)
-    study = rebuild_study(tuning)
+    study = rebuild_study(search)
     # Optuna sets a style of its own, and warns of parameters that have one value.
     with report_style(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        drawn = plot(study, target_name=tuning.objective, **arguments)
+        drawn = plot(study, target_name=search.objective, **arguments)
     figure = np.ravel(drawn)[0].figure
     pyplot.close(figure)
     figure.set(size_inches=(WIDTH_IN, height), facecolor="white")
@@ -69,37 +69,37 @@ def _plot(name: str, tuning: StoredSearch, height: float = 3.0, **arguments: Any
 
 def draw_history(report: ReportData) -> Iterator[Drawing]:
     """Draw the value of each trial and the best so far."""
-    tuning = report.tuning
-    if tuning is not None and len(rank_trials(tuning.trials)) > 1:
-        figure = _plot("plot_optimization_history", tuning)
-        yield figure, f"{tuning.objective} of each trial that is done, and the best so far."
+    search = report.tuning
+    if search is not None and len(rank_trials(search.trials)) > 1:
+        figure = _plot("plot_optimization_history", search)
+        yield figure, f"{search.objective} of each trial that is done, and the best so far."
 
 
 def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
     """Draw the importance of parameters, if enough trials differ in their values."""
-    tuning = report.tuning
-    if tuning is None:
+    search = report.tuning
+    if search is None:
         return
-    values = [trial.value for trial in rank_trials(tuning.trials)]
+    values = [trial.value for trial in rank_trials(search.trials)]
     if len(values) >= MIN_TRIALS and len(set(values)) > 1:
-        height = 1.0 + 0.3 * len(tuning.parameters)
+        height = 1.0 + 0.3 * len(search.parameters)
         yield (
-            _plot("plot_param_importances", tuning, height),
-            f"Importance of each parameter for the best tenth of trials by {tuning.objective} "
+            _plot("plot_param_importances", search, height),
+            f"Importance of each parameter for the best tenth of trials by {search.objective} "
             "(PED-ANOVA).",
         )
 
 
 def draw_slices(report: ReportData) -> Iterator[Drawing]:
     """Draw the objective against each parameter, some parameters to a figure."""
-    tuning = report.tuning
-    if tuning is None or len(rank_trials(tuning.trials)) < 2:
+    search = report.tuning
+    if search is None or len(rank_trials(search.trials)) < 2:
         return
     names: dict[str, None] = {}
-    for trial in rank_trials(tuning.trials):
+    for trial in rank_trials(search.trials):
         names |= dict.fromkeys(trial.parameters)
     for begin in range(0, len(names), MAX_SLICES):
         parameters = list(names)[begin : begin + MAX_SLICES]
-        figure = _plot("plot_slice", tuning, params=parameters)
-        caption = f"{tuning.objective} against {', '.join(parameters)}; darker trials are later."
+        figure = _plot("plot_slice", search, params=parameters)
+        caption = f"{search.objective} against {', '.join(parameters)}; darker trials are later."
         yield figure, caption

@@ -215,8 +215,8 @@ def factors(report: ReportData) -> Iterator[Table]:
         rows,
         [
             text_column("Factor", "name"),
-            text_column("Highest", "highest", formats.setting),
-            text_column("Lowest", "lowest", formats.setting),
+            text_column("Highest", "highest", formats.display_setting),
+            text_column("Lowest", "lowest", formats.display_setting),
             interval_column("Highest − lowest (points)", "largest", formats.difference_interval),  # noqa: RUF001
             Column("p (Bonferroni)", "p", formats.probability),
         ],
@@ -238,7 +238,7 @@ def effects(report: ReportData) -> Iterator[Table]:
         rows,
         [
             text_column("Factor", "factor"),
-            text_column("Level", "level", formats.setting),
+            text_column("Level", "level", formats.display_setting),
             interval_column("Success (%)", "effect"),
             Column("Cells", "cells", formats.number),
         ],
@@ -261,13 +261,15 @@ def config(report: ReportData) -> Iterator[Table]:
     rows: list[dict[str, Any]] = []
     if len(difference) > len(report.cells):
         columns = [text_column("Setting", "setting")]
-        columns += [text_column(cell.label, cell.id, formats.setting) for cell in report.cells]
+        columns += [
+            text_column(cell.label, cell.id, formats.display_setting) for cell in report.cells
+        ]
         for key, values in difference.items():
             by_cell = zip(report.labels, values, strict=True)
             rows.append({"setting": key, **dict(by_cell)})
     else:
         columns = [cell_column()]
-        columns += [text_column(key, key, formats.setting) for key in difference]
+        columns += [text_column(key, key, formats.display_setting) for key in difference]
         for number, cell in enumerate(report.cells):
             levels = {key: values[number] for key, values in difference.items()}
             rows.append({**cell_record(cell), **levels})
@@ -321,7 +323,7 @@ def common(report: ReportData) -> Iterator[Table]:
     yield Table(
         "common",
         rows,
-        [text_column("Setting", "key"), text_column("Value", "value", formats.setting)],
+        [text_column("Setting", "key"), text_column("Value", "value", formats.display_setting)],
         "Settings that are the same in all cells.",
         folded=True,
     )
