@@ -4,7 +4,7 @@ from parking_exp.cli.command import run_command
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.evaluate_run import TRAINING_KEYS, EvaluationRequest, evaluate_runs
+from parking_exp.evaluation.evaluate_run import KEYS_LEFT_OUT, EvaluationRequest, evaluate_runs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.terminal import program, say
 from parking_exp.tracking.store import Store
@@ -56,7 +56,7 @@ def read_overrides(words: list[str]) -> list[str]:
     for word in words:
         key, _, value = word.lstrip("+~").partition("=")
         section = key.replace("/", ".").partition(".")[0]
-        if section in TRAINING_KEYS or (section == "algorithm" and not has_model_file):
+        if section in KEYS_LEFT_OUT or (section == "algorithm" and not has_model_file):
             raise ConfigError(
                 f"{word} is a training key; {program('evaluate')} --help lists the keys of this "
                 "command"

@@ -91,21 +91,21 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
     "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegativeFloat, "dt": PositiveFloat},
 }
 # Argument names of classes as `conf/` uses them: these are checked without importing torch.
-OFF_POLICY = {
+OFF_POLICY_ARGUMENTS = {
     "learning_rate", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
     "gradient_steps", "action_noise", "policy_kwargs",
 }  # fmt: skip
-SAC = {
+SAC_ARGUMENTS = {
     "ent_coef", "target_update_interval", "target_entropy", "stats_window_size",
     "use_sde", "sde_sample_freq", "use_sde_at_warmup",
 }  # fmt: skip
-TD3 = {"policy_delay", "target_policy_noise", "target_noise_clip", "stats_window_size"}
-REPLAY = {"goal_selection_strategy", "handle_timeout_termination"}
+TD3_ARGUMENTS = {"policy_delay", "target_policy_noise", "target_noise_clip", "stats_window_size"}
+REPLAY_ARGUMENTS = {"goal_selection_strategy", "handle_timeout_termination"}
 KNOWN_ARGUMENTS: dict[str, list[set[str]]] = {
-    "parking_exp.algorithms.DDPG": [OFF_POLICY],
-    "parking_exp.algorithms.SAC": [OFF_POLICY | SAC],
-    "parking_exp.algorithms.TD3": [OFF_POLICY | TD3],
-    "parking_exp.buffers.HerBuffer": [REPLAY, {*REPLAY, *HER_OPTIONS}],
+    "parking_exp.algorithms.DDPG": [OFF_POLICY_ARGUMENTS],
+    "parking_exp.algorithms.SAC": [OFF_POLICY_ARGUMENTS | SAC_ARGUMENTS],
+    "parking_exp.algorithms.TD3": [OFF_POLICY_ARGUMENTS | TD3_ARGUMENTS],
+    "parking_exp.buffers.HerBuffer": [REPLAY_ARGUMENTS, {*REPLAY_ARGUMENTS, *HER_OPTIONS}],
     "stable_baselines3.common.noise.NormalActionNoise": [{"mean", "sigma"}],
     "stable_baselines3.common.utils.LinearSchedule": [{"start", "end", "end_fraction"}],
 }

@@ -24,7 +24,7 @@ from pydantic import (
     model_validator,
 )
 
-from parking_exp.config.argument_limits import OFF_POLICY, SAC, TD3
+from parking_exp.config.argument_limits import OFF_POLICY_ARGUMENTS, SAC_ARGUMENTS, TD3_ARGUMENTS
 from parking_exp.config.paths import (
     SQLITE,
     absolute,
@@ -118,7 +118,7 @@ class AlgorithmConfig(ThirdParty):
     normalize: bool
 
 
-KEYS_OF_TRAINING = {"trained", *OFF_POLICY, *SAC, *TD3}
+DROPPED_IF_UNTRAINED = {"trained", *OFF_POLICY_ARGUMENTS, *SAC_ARGUMENTS, *TD3_ARGUMENTS}
 UNTRAINED: dict[str, Any] = {
     "features": "raw",
     "net_arch": None,
@@ -239,7 +239,7 @@ class RunConfig(OutputConfig):
         is_stored = algorithm.get("net_arch", []) is None
         if algorithm.get("trained", True) and not is_stored:
             return values
-        own = {key: value for key, value in algorithm.items() if key not in KEYS_OF_TRAINING}
+        own = {key: value for key, value in algorithm.items() if key not in DROPPED_IF_UNTRAINED}
         own.update(UNTRAINED)
         without_training = dict(values, algorithm=own, total_timesteps=0)
         without_training.pop("init", None)

@@ -70,21 +70,36 @@ class Agent:
                 f"`{program('evaluate')}` evaluates it"
             )
         from parking_exp.algorithms.build_model import build_model
-        from parking_exp.algorithms.model_files import load_actor, load_weights
-        from parking_exp.algorithms.policy_files import load_policy
         from parking_exp.tasks.registry import make_task
 
         env = task.prediction_env()
         # The features are those of training, also on another lot.
         trained_on = make_task(self.config.env)
         model = build_model(self.config, trained_on, env, seed=0, for_training=False)
-        if self.directory is not None:
-            load_weights(self.weights, model)
-        elif self.weights.name == POLICY_FILE:
-            load_policy(self.weights, model)
-        else:
-            load_actor(self.weights, model)
+        self.load_into(model)
         return model
+
+    def load_into(self, model: "OffPolicyAlgorithm", *, networks_only: bool = False) -> None:
+        """Give a model this agent's weights; of a file that is not a run's, those it has.
+
+        Args:
+            model: the model, with the same networks.
+            networks_only: leave the optimizers of the model as they are.
+
+        Raises:
+            ModelError: the weights are damaged, or do not fit.
+        """
+        from parking_exp.algorithms.model_files import load_actor, load_networks, load_weights
+        from parking_exp.algorithms.policy_files import load_policy
+
+        if self.weights.name == POLICY_FILE:
+            load_policy(self.weights, model)
+        elif self.directory is None:
+            load_actor(self.weights, model)
+        elif networks_only:
+            load_networks(self.weights, model)
+        else:
+            load_weights(self.weights, model)
 
 
 class AgentRequest(OutputConfig):

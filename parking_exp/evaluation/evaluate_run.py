@@ -36,13 +36,13 @@ from parking_exp.tasks.registry import EnvConfig, make_task
 from parking_exp.tasks.task import Policy, Task
 from parking_exp.terminal import say
 
-TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {
+KEYS_LEFT_OUT = ({*RunConfig.model_fields} | SWEEP_KEYS) - {
     "env",
     "algorithm",
     "output_dir",
     "tracking",
 }
-"""Keys of the recipe that an option of `env` may set."""
+"""Keys of a run that an evaluation leaves out; an option of `env` may set them."""
 REPLAY_FILE = "replay.html"
 DEFAULT_EPISODES = 100
 PRETRAINED_EPISODES = 20  # the cards of pretrained agents have the rates of 500
@@ -136,7 +136,7 @@ def _settings(env: EnvConfig) -> dict[str, Setting]:
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
     """Validate a composed config."""
-    request = parse(EvaluationRequest, config, without=TRAINING_KEYS)
+    request = parse(EvaluationRequest, config, without=KEYS_LEFT_OUT)
     n_episodes = len(request.seeds)
     if request.env and "task" in request.env:
         check(EvaluatedEnv, {"env": request.env})

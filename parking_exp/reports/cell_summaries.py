@@ -28,7 +28,13 @@ from parking_exp.tasks.registry import FAILURES, METRICS, added_metrics, task_re
 SUCCESS_THRESHOLD = 0.9
 RELIABLE = 0.95  # final success of a seed
 HOLD = 3  # evaluations in a row
-STAGES = {"done": "done", "running": "running", "failed": "failed", "pending": "interrupted"}
+STATUS_OF_STAGE = {
+    "done": "done",
+    "running": "running",
+    "failed": "failed",
+    "pending": "interrupted",
+}
+"""Stage of a run -> its status in the store."""
 REPORTED: dict[str, Metric] = {
     metric.name if metric.is_rate else metric.run_column: metric
     for metric in METRICS
@@ -258,7 +264,7 @@ def _episode_interval(mean: Interval, n_episodes: int | None) -> Interval:
 
 def _count_stages(status: pd.Series) -> dict[str, int]:
     runs = Counter(status)
-    return {stage: runs[name] for stage, name in STAGES.items()}
+    return {stage: runs[name] for stage, name in STATUS_OF_STAGE.items()}
 
 
 def _to_int(value: Any) -> int | None:

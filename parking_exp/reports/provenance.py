@@ -8,10 +8,14 @@ import pandas as pd
 from parking_exp.config.cell_labels import can_matter, differing_keys, with_defaults
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import Provenance, UnfinishedRun
+from parking_exp.runs.run_state import STAGE_WORDS
 
 VERSION = "version."
 SHORT_COMMIT = 10
-REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rerun the sweep"}
+REASONS = {
+    "running": STAGE_WORDS["running"],
+    "interrupted": f"{STAGE_WORDS['pending']}; rerun the sweep",
+}
 
 
 def collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:

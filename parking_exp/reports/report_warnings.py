@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from parking_exp.config.cell_labels import Setting, display_setting
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.report_data import ReportData
+from parking_exp.runs.run_state import STAGE_WORDS
 from parking_exp.tasks.registry import TRAINING_ONLY
 
 ENOUGH_SEEDS = 10
 FEW_NAMES = 4
-WAITING = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
 COMPARABLE = {
     "evaluation.first_scene",
     "evaluation.n_scenes",
@@ -48,7 +48,7 @@ def find_incomparable(report: ReportData) -> Iterator[str]:
 def find_missing(report: ReportData) -> Iterator[str]:
     """Yield which runs have no result."""
     runs = report.stages
-    stages = [f"{runs[stage]} {words}" for stage, words in WAITING.items() if runs[stage]]
+    stages = [f"{runs[stage]} {words}" for stage, words in STAGE_WORDS.items() if runs[stage]]
     if stages:
         yield f"Runs done: {runs['done']} of {runs.total()}; {', '.join(stages)}."
     empty = [cell.label for cell in report.cells if not cell.counts["done"]]

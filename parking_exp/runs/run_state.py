@@ -3,7 +3,7 @@
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -18,6 +18,12 @@ from parking_exp.runs.run_files import (
 
 Stage = Literal["done", "running", "failed", "pending"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
+# In sentences, what runs that are not done are.
+STAGE_WORDS: Mapping[Stage, str] = {
+    "running": "under way",
+    "failed": "failed",
+    "pending": "interrupted or not started",
+}
 # Fields that `status.py` doesn't show.
 OWN = (
     "status",

@@ -22,7 +22,7 @@ from parking_exp.errors import ConfigError, FailedRunError, plural
 from parking_exp.evaluation.initial_agents import name_source
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
-from parking_exp.runs.run_state import RunState, Stage, count_stages, read_state
+from parking_exp.runs.run_state import STAGE_WORDS, RunState, count_stages, read_state
 from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
@@ -260,12 +260,9 @@ def _is_left(path: Path, *, launched: bool) -> bool:
 def _check_all_done(states: Sequence[RunState]) -> None:
     """Raise FailedRunError unless every run is done."""
     by_stage = count_stages(states)
-    words: dict[Stage, str] = {
-        "failed": "failed",
-        "pending": "not done",
-        "running": "still running",
-    }
-    parts = [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]
+    parts = [
+        f"{by_stage[stage]} {words}" for stage, words in STAGE_WORDS.items() if by_stage[stage]
+    ]
     if not parts:
         return
     failed = [state.killed for state in states if state.stage == "failed"]

@@ -9,8 +9,6 @@ from pathlib import Path
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.build_model import build_model
-from parking_exp.algorithms.model_files import load_networks
-from parking_exp.algorithms.policy_files import load_policy
 from parking_exp.config.cell_labels import Setting, differing_keys, display_setting, settings_of
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ModelError
@@ -64,7 +62,7 @@ def _check_layers(config: RunConfig, agent: Agent) -> None:
     model = build_model(config, task, env, seed=0, for_training=False)
     task.close()
     try:
-        _load_networks(agent, model)
+        agent.load_into(model, networks_only=True)
     except ModelError as error:
         raise ModelError(f"init={config.init}: {error}") from error
 
@@ -75,17 +73,11 @@ def start(config: RunConfig, model: OffPolicyAlgorithm) -> str:
     It raises what `check_sources` does, and ModelError if the replay buffer does not fit.
     """
     agent = find_source(config)
-    _load_networks(agent, model)
+    agent.load_into(model, networks_only=True)
     if config.init_buffer:
         file = _find_buffer(config, agent)
         checkpoints.load_transitions(file, model.replay_buffer)
     return sha256(agent.weights)
-
-
-def _load_networks(agent: Agent, model: OffPolicyAlgorithm) -> None:
-    """Load all networks of a run, or those that the file of a pretrained agent has."""
-    load = load_policy if agent.directory is None else load_networks
-    load(agent.weights, model)
 
 
 def _find_buffer(config: RunConfig, agent: Agent) -> Path:
