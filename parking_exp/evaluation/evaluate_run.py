@@ -26,7 +26,7 @@ from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpi
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
-from parking_exp.evaluation.saved_models import find_saved_model, is_model_file
+from parking_exp.evaluation.sb3_model_files import find_agent_in_file, is_model_file
 from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.file_hashes import write_summary
@@ -191,7 +191,7 @@ def _find_evaluations(requests: Sequence[EvaluationRequest]) -> list[Evaluation]
         run = request.run
         if is_model_file(run):
             env = request.env or {}
-            agents = [find_saved_model(run, request.output_path, env, request.algorithm or {})]
+            agents = [find_agent_in_file(run, request.output_path, env, request.algorithm or {})]
         else:
             agents = find(run, request.output_path, request.model, trust=request.trust)
         for agent in agents:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import pandas as pd
 
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import CellSummary, Curve, RunSummary
+from parking_exp.reports.reported_metrics import FIELDS, REPORTED, is_rate
 from parking_exp.results.frames import TEXT, Results
 from parking_exp.statistics import (
     Interval,
@@ -22,8 +23,8 @@ from parking_exp.statistics import (
     steps_to,
     wilson_interval,
 )
-from parking_exp.tasks.metrics import EPISODE_SEED, Metric
-from parking_exp.tasks.registry import FAILURES, METRICS, added_metrics, task_reports
+from parking_exp.tasks.metrics import EPISODE_SEED
+from parking_exp.tasks.registry import FAILURES, added_metrics, task_reports
 
 SUCCESS_THRESHOLD = 0.9
 RELIABLE = 0.95  # final success of a seed
@@ -35,15 +36,6 @@ STATUS_OF_STAGE = {
     "pending": "interrupted",
 }
 """Stage of a run -> its status in the store."""
-REPORTED: dict[str, Metric] = {
-    metric.name if metric.is_rate else metric.run_column: metric
-    for metric in METRICS
-    if metric.in_reports
-}
-"""Metrics of reports by their names in `CellSummary` and `RunSummary`."""
-FIELDS = {field.name for field in fields(RunSummary)}
-FURTHER = [name for name in REPORTED if name not in FIELDS]
-"""Those without a field of their own, which only some tasks have."""
 
 
 @dataclass(frozen=True)
@@ -119,22 +111,6 @@ def _describe_success(rates: Sequence[float]) -> dict[str, Any]:
         "reaching_95": sum(rate >= RELIABLE for rate in rates),
         "note": coverage_note(rates),
     }
-
-
-def is_rate(name: str) -> bool:
-    """Return whether a metric of reports is a rate; the name of a user's is its key."""
-    metric = REPORTED.get(name)
-    return name.endswith("_rate") if metric is None else metric.is_rate
-
-
-def heading(name: str) -> str:
-    """Return the heading of a metric of reports; of a user's, the store has the name alone."""
-    metric = REPORTED.get(name)
-    if metric is not None:
-        return metric.heading
-    if is_rate(name):
-        return f"{name.removesuffix('_rate')} (%)"
-    return name.removesuffix("_mean")
 
 
 def _summarise_run(run: Mapping[Any, Any], evaluations: RunEvaluations) -> RunSummary:

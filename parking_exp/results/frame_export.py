@@ -17,6 +17,7 @@ import pandas as pd
 from parking_exp.config.cell_labels import decode_setting, encode_setting
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
+from parking_exp.results.artifact_parsers import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
 from parking_exp.results.frames import (
     FINAL,
     RUN_TYPES,
@@ -27,7 +28,6 @@ from parking_exp.results.frames import (
     setting_column,
     typed_curves,
 )
-from parking_exp.results.run_logs import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
 from parking_exp.runs.atomic_files import read_json, write_gzip, write_json
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.registry import added_metrics

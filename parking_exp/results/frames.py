@@ -14,7 +14,7 @@ import pandas as pd
 from parking_exp.config.cell_labels import Config, Setting
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
-from parking_exp.results.run_logs import (
+from parking_exp.results.artifact_parsers import (
     CATEGORIES,
     CURVE,
     CURVE_TYPES,

@@ -20,7 +20,7 @@ from parking_exp.tasks.parking.driven_path import reeds_shepp_m
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.pose import Pose, relative_pose
+from parking_exp.tasks.parking.pose import PoseInSlot, pose_in_slot
 from parking_exp.tasks.registry import make_task
 
 
@@ -115,16 +115,16 @@ def test_the_shortest_path_has_turns_of_the_smallest_radius(end, length_m):
 @pytest.mark.parametrize(
     ("pose", "parked"),
     [
-        (Pose(0, 0, 0, 0), True),
-        (Pose(1.5, 0, 0, 0), True),  # the front bumper on the line: 1.5 + 5 / 2 = 4
-        (Pose(1.51, 0, 0, 0), False),
-        (Pose(0, 1.0, 0, 0), True),  # the side on the line: 1 + 2 / 2 = 2
-        (Pose(0, -1.01, 0, 0), False),
-        (Pose(0, 0, math.radians(9.9), 0), True),
-        (Pose(0, 0, math.radians(-10.1), 0), False),
-        (Pose(0, 0.7, math.radians(9.9), 0), False),  # turned, a corner is over the line
-        (Pose(0, 0, 0, 0.49), True),
-        (Pose(0, 0, 0, -0.5), False),
+        (PoseInSlot(0, 0, 0, 0), True),
+        (PoseInSlot(1.5, 0, 0, 0), True),  # the front bumper on the line: 1.5 + 5 / 2 = 4
+        (PoseInSlot(1.51, 0, 0, 0), False),
+        (PoseInSlot(0, 1.0, 0, 0), True),  # the side on the line: 1 + 2 / 2 = 2
+        (PoseInSlot(0, -1.01, 0, 0), False),
+        (PoseInSlot(0, 0, math.radians(9.9), 0), True),
+        (PoseInSlot(0, 0, math.radians(-10.1), 0), False),
+        (PoseInSlot(0, 0.7, math.radians(9.9), 0), False),  # turned, a corner is over the line
+        (PoseInSlot(0, 0, 0, 0.49), True),
+        (PoseInSlot(0, 0, 0, -0.5), False),
     ],
 )
 def test_parked_is_inside_the_lines_straight_and_stationary(pose, parked):
@@ -134,7 +134,7 @@ def test_parked_is_inside_the_lines_straight_and_stationary(pose, parked):
 def test_the_pose_is_seen_from_the_slot():
     ahead, left, slot = np.array([0.6, 0.8]), np.array([-0.8, 0.6]), np.array([4.0, 14.0])
     heading = math.atan2(0.8, 0.6)
-    pose = relative_pose(
+    pose = pose_in_slot(
         slot + ahead + 0.25 * left, heading + 0.1 - 2 * math.pi, -2.0, slot, heading
     )
     assert (pose.ahead_m, pose.side_m, pose.heading_error_rad, pose.speed_mps) == pytest.approx(

@@ -15,7 +15,7 @@ import parking_exp.results
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.results import frames, load
-from parking_exp.results.run_logs import (
+from parking_exp.results.artifact_parsers import (
     CURVE,
     CURVE_TYPES,
     EPISODES,

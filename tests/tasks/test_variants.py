@@ -9,7 +9,7 @@ from support.runs import make_config, parking_envs
 
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.tasks.parking.highway import make_env
-from parking_exp.tasks.parking.pose import relative_pose
+from parking_exp.tasks.parking.pose import pose_in_slot
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
@@ -74,7 +74,7 @@ def test_success_of_parking_stop_means_parked():
     achieved[:, :2] += goal[:2]
     _, reached = reward(achieved / SCALES, goal / SCALES)
     poses = [
-        relative_pose(achieved[row, :2], heading[row], speed[row], goal[:2], np.pi / 2)
+        pose_in_slot(achieved[row, :2], heading[row], speed[row], goal[:2], np.pi / 2)
         for row in reached.nonzero()[0]
     ]
     assert len(poses) > 10_000

@@ -10,8 +10,8 @@ from typing import Any
 import pandas as pd
 
 from parking_exp.reports import formats
-from parking_exp.reports.cell_summaries import FURTHER, heading, is_rate
 from parking_exp.reports.report_data import CellSummary, ReportData
+from parking_exp.reports.reported_metrics import FURTHER, heading, is_rate
 from parking_exp.reports.tables.table import (
     PERCENT,
     Column,

@@ -13,7 +13,7 @@ from parking_exp.tasks.parking.geometry import SLOT_LENGTH_M, SLOT_WIDTH_M
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, RandomVehiclesCount
 from parking_exp.tasks.parking.obstacles import RandomObstacles
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
-from parking_exp.tasks.parking.pose import Pose, relative_pose
+from parking_exp.tasks.parking.pose import PoseInSlot, pose_in_slot
 from parking_exp.tasks.parking.rays import Rays
 from parking_exp.tasks.parking.reward import reward_of
 
@@ -120,7 +120,7 @@ class HighwayBatch(EnvBatch):
         for env in self.envs:
             skip_unused_work(env)
 
-    def ending(self, row: int) -> Pose:
+    def ending(self, row: int) -> PoseInSlot:
         """Return the pose of a car relative to its goal."""
         lot = self.envs[row].unwrapped
         car = lot.vehicle
@@ -128,4 +128,4 @@ class HighwayBatch(EnvBatch):
         slot_size = (SLOT_LENGTH_M, SLOT_WIDTH_M)
         if self.config.parametric_lots:
             slot_size = lot.slot_size
-        return relative_pose(car.position, car.heading, car.speed, *goal, slot_size)
+        return pose_in_slot(car.position, car.heading, car.speed, *goal, slot_size)

@@ -18,7 +18,7 @@ PARKED_SPEED_MPS = 0.5
 
 
 @dataclass(frozen=True)
-class Pose:
+class PoseInSlot:
     """The car relative to its goal slot."""
 
     ahead_m: float  # of the car's centre, in the slot's frame
@@ -80,14 +80,14 @@ def is_parked(
     return parked
 
 
-def relative_pose(
+def pose_in_slot(
     position: np.ndarray,
     heading: float,
     speed: float,
     goal_position: np.ndarray,
     goal_heading: float,
     slot_size: Sequence[float] | np.ndarray = (SLOT_LENGTH_M, SLOT_WIDTH_M),
-) -> Pose:
+) -> PoseInSlot:
     """Return the pose of a car relative to its goal slot.
 
     Positions are (x, y), the slot's size is its length and width,
@@ -97,7 +97,7 @@ def relative_pose(
     cos = math.cos(goal_heading)
     sin = math.sin(goal_heading)
     error = (heading - goal_heading + math.pi) % (2 * math.pi) - math.pi
-    return Pose(
+    return PoseInSlot(
         ahead_m=float(dx * cos + dy * sin),
         side_m=float(dy * cos - dx * sin),
         heading_error_rad=float(error),

@@ -134,7 +134,7 @@ class Planner(ScriptedPolicy):
         """Return the path of a scene: poses of the rear axle, shape (n, 3) [m, m, rad]; the start
         alone if no path was found in time.
         """
-        from parking_exp.tasks.parking.planning.reeds_shepp import plan_path
+        from parking_exp.tasks.parking.planning.path_search import plan_path
 
         config = self.task.config
         scenes = lot_of(config).from_seeds([seed])

@@ -26,7 +26,7 @@ from parking_exp.tasks.parking.geometry import (
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, ParkingConfig
-from parking_exp.tasks.parking.pose import Pose, relative_pose
+from parking_exp.tasks.parking.pose import PoseInSlot, pose_in_slot
 from parking_exp.tasks.parking.rays import ray_distances
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import MOST_SCENES, Scenes
@@ -94,15 +94,15 @@ class Simulator:
 
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
         """Return the observation of all scenes, or of some."""
-        pose = self._pose(rows)
-        seen = [pose]
+        car = self._car_features(rows)
+        seen = [car]
         if self.n_seen:
             seen.append(self._observe_vehicles(rows))
         if self.rays:
             seen.append(self._observe_rays(rows))
         return {
             "observation": np.concatenate(seen, axis=1),
-            "achieved_goal": pose,
+            "achieved_goal": car,
             "desired_goal": self.state.goal_features[rows].copy(),
         }
 
@@ -148,10 +148,10 @@ class Simulator:
         state.steps += 1
         return self._outcome()
 
-    def ending(self, row: int) -> Pose:
+    def ending(self, row: int) -> PoseInSlot:
         """Return the pose of a car relative to its goal."""
         state = self.state
-        return relative_pose(
+        return pose_in_slot(
             state.position[:, row],
             state.heading[row],
             state.speed[row],
@@ -310,17 +310,17 @@ class Simulator:
             state.direction = direction_of(state.heading)
             self._collisions.resolve(state, fixtures)
 
-    def _pose(self, rows: np.ndarray | slice) -> np.ndarray:
+    def _car_features(self, rows: np.ndarray | slice) -> np.ndarray:
         """Return x, y, vx, vy, cos_h, sin_h of the cars, in units of the observation. Shape
         (n, 6).
         """
         state = self.state
-        pose = np.empty((len(DEFAULT_FEATURES), len(state.heading[rows])))
-        pose[:2] = state.position[:, rows]
-        pose[4:] = state.direction[:, rows]
-        np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
-        pose /= SCALES[:, None]
-        return np.ascontiguousarray(pose.T)
+        features = np.empty((len(DEFAULT_FEATURES), len(state.heading[rows])))
+        features[:2] = state.position[:, rows]
+        features[4:] = state.direction[:, rows]
+        np.multiply(state.speed[rows], features[4:], out=features[2:4])
+        features /= SCALES[:, None]
+        return np.ascontiguousarray(features.T)
 
     def _outcome(self) -> Step:
         state = self.state

@@ -24,7 +24,7 @@ from parking_exp.errors import ModelError, RunNotFoundError, one_line
 from parking_exp.evaluation.agents import Agent
 from parking_exp.runs.atomic_files import MAX_JSON, open_file, sha256
 
-SAVED_MODELS = "models"
+SB3_EVALUATIONS = "models"
 """Folder of an output directory with the evaluations of model files."""
 SAFE_ARGUMENTS = {
     "net_arch",  # as the weights have it
@@ -46,7 +46,7 @@ def is_model_file(run: str) -> bool:
     return run.endswith(".zip") and not directory_path(run).is_dir()
 
 
-def find_saved_model(
+def find_agent_in_file(
     run: str, output_dir: Path, env: Mapping[str, Any], algorithm: Mapping[str, Any]
 ) -> Agent:
     """Return the agent in a model file.
@@ -91,7 +91,7 @@ def find_saved_model(
     refuse(check_arguments(config))
 
     digest = short_hash({"file": sha256(path), "env": env, "algorithm": arguments})
-    folder = output_dir / SAVED_MODELS / f"{path.stem}-{digest}"
+    folder = output_dir / SB3_EVALUATIONS / f"{path.stem}-{digest}"
     refuse_links([folder.parent, folder, *folder.rglob("*")], output_dir)
     return Agent(run, config, path, folder)
 

@@ -21,7 +21,7 @@ from support.user_features import DoubledExtractor
 
 from parking_exp.config.compose import compose_configs
 from parking_exp.evaluation.evaluate_run import validate_request
-from parking_exp.evaluation.saved_models import find_saved_model
+from parking_exp.evaluation.sb3_model_files import find_agent_in_file
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.tasks.registry import make_task
 
@@ -75,7 +75,9 @@ def restored(path, output_dir, *arguments):
     """Return the model that evaluate.py loads."""
     words = [f"run='{path}'", f"output_dir='{output_dir}'", "env=parking", *arguments]
     request = validate_request(compose_configs("evaluate", words)[0])
-    agent = find_saved_model(request.run, request.output_path, request.env, request.algorithm or {})
+    agent = find_agent_in_file(
+        request.run, request.output_path, request.env, request.algorithm or {}
+    )
     return agent.load(make_task(agent.config.env))
 
 
