@@ -11,7 +11,7 @@ def main() -> None:
 def tune(overrides: list[str], extra_config_dir: str | None) -> None:
     """Run a search."""
     from parking_exp.sweeps.hydra_launcher import launcher_of
-    from parking_exp.tuning.run_search import tune as run_search
+    from parking_exp.tuning.run_search import run_search
     from parking_exp.tuning.search import Search
 
     search = Search(overrides, extra_config_dir)

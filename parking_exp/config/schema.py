@@ -295,7 +295,7 @@ class RunConfig(OutputConfig):
         return self.output_path / self.experiment_name / self.cell_name / f"seed={self.seed}"
 
     @property
-    def n_certified(self) -> int:
+    def n_cross_checked(self) -> int:
         """Number of final episodes that are repeated on the task's reference simulator; all if the
         run trains on it.
 
@@ -316,7 +316,7 @@ class RunConfig(OutputConfig):
         evaluated again.
         """
         settings = self.evaluation.model_dump(include=FINAL_EVALUATION)
-        return {**settings, "n_certified_scenes": self.n_certified}
+        return {**settings, "n_certified_scenes": self.n_cross_checked}
 
     def update_rounds(self) -> tuple[int | tuple[int, str], int]:
         """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step`

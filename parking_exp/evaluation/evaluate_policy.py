@@ -20,7 +20,7 @@ SCRIPTED_BATCH = 20  # a planner takes seconds for it, after which progress is s
 Metrics = Sequence[Metric]
 
 
-def evaluate(
+def evaluate_policy(
     policy: Policy,
     task: Task,
     seeds: Sequence[int],

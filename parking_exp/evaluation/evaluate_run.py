@@ -134,7 +134,7 @@ def _settings(env: EnvConfig) -> dict[str, Setting]:
     return with_defaults(settings_of(plain))
 
 
-def validate_request(config: DictConfig) -> EvaluationRequest:
+def validate_evaluation(config: DictConfig) -> EvaluationRequest:
     """Validate a composed config."""
     request = parse(EvaluationRequest, config, without=KEYS_LEFT_OUT)
     n_episodes = len(request.seeds)
@@ -160,7 +160,7 @@ def evaluate_runs(
 
     `on_saved` is called with the directory of a run that has new results, and their request.
     """
-    requests = [validate_request(config) for config in configs]
+    requests = [validate_evaluation(config) for config in configs]
     evaluations = _find_evaluations(requests)
     folders = {resolved(evaluation.folder) for evaluation in evaluations}
     if len(folders) < len(evaluations):
@@ -246,7 +246,12 @@ def _env_labels(evaluations: Sequence[Evaluation]) -> list[str]:
 def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     """Evaluate an agent, print and write the results, and return the rates and means."""
     from parking_exp.algorithms.build_model import torch_settings
-    from parking_exp.evaluation.evaluate_policy import describe, evaluate, intervals, summarise
+    from parking_exp.evaluation.evaluate_policy import (
+        describe,
+        evaluate_policy,
+        intervals,
+        summarise,
+    )
     from parking_exp.evaluation.evaluation_progress import evaluation_progress
 
     request = evaluation.request
@@ -260,12 +265,12 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
             torch_settings(agent.config),
             evaluation_progress(len(request.seeds), evaluation.env.name) as show,
         ):
-            episodes = evaluate(policy, task, request.seeds, show)
+            episodes = evaluate_policy(policy, task, request.seeds, show)
         _clear_folder(folder)
         episodes.to_csv(folder / EPISODES_FILE, index=False)
         say(_headline(evaluation), *describe(episodes, task.metrics))
         if request.video:
-            _record_video(policy, task, request, folder)
+            _write_video(policy, task, request, folder)
         if request.replay:
             with torch_settings(agent.config):
                 _write_replay(policy, task, evaluation)
@@ -314,16 +319,14 @@ def _write_summary(
     write_summary(evaluation.folder, entries)
 
 
-def _record_video(policy: Policy, task: Task, request: EvaluationRequest, folder: Path) -> None:
+def _write_video(policy: Policy, task: Task, request: EvaluationRequest, folder: Path) -> None:
     """Record the first episodes, and say where; a machine that can't render makes no video."""
     from parking_exp.evaluation.video import record_video
 
-    try:
-        record_video(
-            policy, task, request.seeds[: request.video], folder / "video.mp4", request.gif
-        )
-    except VideoError as error:
-        say(str(error))
+    seeds = request.seeds[: request.video]
+    reason = record_video(policy, task, seeds, folder / "video.mp4", request.gif)
+    if reason is not None:
+        say(reason)
     for path in sorted(folder.glob("video.*")):
         say(f"video          {path}")
 

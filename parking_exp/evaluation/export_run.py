@@ -25,7 +25,7 @@ class ExportRequest(AgentRequest):
     path: LocalPath | None
 
 
-def validate_request(config: DictConfig) -> ExportRequest:
+def validate_export(config: DictConfig) -> ExportRequest:
     """Validate a composed config."""
     request = parse(ExportRequest, config)
     if request.format == "onnx":
@@ -58,7 +58,7 @@ def export_runs(configs: Sequence[DictConfig]) -> None:
             written.
         ModelError: the model can't be exported; also what `agents.load_model` raises.
     """
-    requests = [validate_request(config) for config in configs]
+    requests = [validate_export(config) for config in configs]
     exports = [_find_export(request) for request in requests]
     files = [resolved(export.path) for export in exports]
     for export, file in zip(exports, files, strict=True):

@@ -15,21 +15,19 @@ from parking_exp.tasks.task import Policy, Task
 
 def record_video(
     policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool = False
-) -> None:
+) -> str | None:
     """Record one episode from each seed in one mp4, and with `gif` also a GIF of the same name.
 
-    Raises:
-        VideoError: for whatever drivers, bindings, shared libraries and the environment's own code
-            raise.
+    Return why there is no video, as on a machine that can't render; None if there is one. That is
+    for whatever drivers, bindings, shared libraries and the environment's own code raise.
     """
     try:
         _record(policy, task, seeds, path, gif)
+    except VideoError as error:
+        return str(error)
     except (Exception, SystemExit) as error:
-        if isinstance(error, VideoError):
-            raise
-        raise VideoError(
-            f"no video of {task.env_id}: {type(error).__name__}: {one_line(error)}"
-        ) from error
+        return f"no video of {task.env_id}: {type(error).__name__}: {one_line(error)}"
+    return None
 
 
 def _record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool) -> None:

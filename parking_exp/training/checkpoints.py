@@ -41,8 +41,8 @@ from parking_exp.training import rollout_state
 
 BEST = "best.zip"
 STATE = "state.pt"
-EARLIEST = (1980, 1, 1, 0, 0, 0)
-LATEST = (2107, 12, 31, 23, 59, 58)
+EARLIEST_ZIP_TIME = (1980, 1, 1, 0, 0, 0)
+LATEST_ZIP_TIME = (2107, 12, 31, 23, 59, 58)
 ATTRIBUTES = (
     "num_timesteps",
     "_n_updates",
@@ -192,7 +192,7 @@ def _write_zip(model: OffPolicyAlgorithm, path: Path, exclude: Iterable[str] = (
     Zip files have no other times.
     """
     now = time.localtime(time.time())
-    possible = min(max(now[:6], EARLIEST), LATEST)
+    possible = min(max(now[:6], EARLIEST_ZIP_TIME), LATEST_ZIP_TIME)
     if possible == now[:6]:
         model.save(path, exclude=exclude)
         return

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from parking_exp.errors import CrossCheckError, VideoError
+from parking_exp.errors import CrossCheckError
 from parking_exp.evaluation.evaluate_policy import describe_rates, find_differences
 from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.evaluation.video import record_video
@@ -12,7 +12,7 @@ from parking_exp.runs.run_files import PATHS_FILE
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.plot_curves import plot_learning_curves
 from parking_exp.training.run_session import RunSession
-from parking_exp.training.seeds import certified_seeds
+from parking_exp.training.seeds import cross_checked_seeds
 
 N_PATHS = 50
 """Final episodes whose paths are kept, the first ones: as many as a figure can show."""
@@ -29,7 +29,7 @@ def finish(session: RunSession) -> pd.DataFrame:
     settings = config.evaluation
     metrics = session.task.metrics
     session.bar.show_activity("final evaluation")
-    cross_checked = certified_seeds(config)
+    cross_checked = cross_checked_seeds(config)
     # Cross-checked episodes have batches of their own: the last bits of actions depend on the
     # batch.
     all_seeds = settings.seeds(settings.final_n_scenes)
@@ -53,7 +53,11 @@ def finish(session: RunSession) -> pd.DataFrame:
     title = f"{config.experiment_name}: {directory.path.parent.name}"
     plot_learning_curves(session.metrics.frame(), metrics, title, directory.path / "curves.png")
     if settings.video_episodes:
-        _record_video(session)
+        session.bar.show_activity("video")
+        filmed = settings.seeds(settings.video_episodes)
+        reason = record_video(session.policy, session.task, filmed, directory.path / "video.mp4")
+        if reason is not None:
+            session.bar.say(reason)
     if problem is not None:
         raise CrossCheckError(problem)
     return episodes
@@ -63,27 +67,16 @@ def _cross_check(session: RunSession, seeds: Sequence[int], episodes: pd.DataFra
     """Repeat episodes on the reference simulator; return what differs, if anything."""
     simulator = session.config.env.simulator
     reference = session.config.env.simulators[-1]
-    certified = episodes
+    repeated = episodes
     if simulator != reference:
         session.bar.show_activity(f"cross-check on {reference}")
-        certified = session.run_episodes(seeds, reference)
-    session.record_evaluation(certified, "certified")
+        repeated = session.run_episodes(seeds, reference)
+    session.record_evaluation(repeated, "certified")
 
-    differences = find_differences(episodes, certified)
+    differences = find_differences(episodes, repeated)
     if not differences:
         return None
     return (
-        f"{len(differences)} of {len(certified)} cross-checked episodes differ between "
+        f"{len(differences)} of {len(repeated)} cross-checked episodes differ between "
         f"env.simulator={simulator} and {reference}; {'; '.join(differences[:3])}"
     )
-
-
-def _record_video(session: RunSession) -> None:
-    """Record a video; a machine that can't render makes none."""
-    session.bar.show_activity("video")
-    settings = session.config.evaluation
-    seeds = settings.seeds(settings.video_episodes)
-    try:
-        record_video(session.policy, session.task, seeds, session.directory.path / "video.mp4")
-    except VideoError as error:
-        session.bar.say(str(error))

@@ -10,7 +10,7 @@ import pandas as pd
 
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import DivergenceError
-from parking_exp.evaluation.evaluate_policy import evaluate, summarise
+from parking_exp.evaluation.evaluate_policy import evaluate_policy, summarise
 from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MetricsLog, append_episodes
@@ -105,7 +105,7 @@ class RunSession(ABC):
         """Return the policy's episodes, or raise when a signal asks to stop."""
         try:
             on_step = self.progress_of(len(seeds))
-            return evaluate(self.policy, self.task, seeds, on_step, simulator, paths)
+            return evaluate_policy(self.policy, self.task, seeds, on_step, simulator, paths)
         except DivergenceError as error:
             raise DivergenceError(f"evaluation at step {self.step}: {error}") from error
 

@@ -8,7 +8,7 @@ from parking_exp.config.schema import RunConfig
 
 
 @dataclass(frozen=True)
-class Seeds:
+class RunSeeds:
     """Seeds of one run's random generators."""
 
     # Weights, exploration and minibatches (Python, NumPy and torch), below 2**31.
@@ -16,26 +16,26 @@ class Seeds:
     # Of the first training env; env i gets this + i. None is an evaluation's seed.
     training_envs: int
     # Draws the episodes of the final evaluation that are cross-checked.
-    certified: int
+    cross_check: int
 
 
-def derive_seeds(seed: int, training_seeds: range) -> Seeds:
+def derive_seeds(seed: int, training_seeds: range) -> RunSeeds:
     """Derive the seeds of a run's independent random generators from its one seed.
 
     Args:
         seed: of the run.
         training_seeds: of the task, from which that of the first training env is taken.
     """
-    policy, training, certified = np.random.SeedSequence(seed).generate_state(3).tolist()
-    return Seeds(policy % 2**31, training_seeds[training % len(training_seeds)], certified)
+    policy, training, cross_check = np.random.SeedSequence(seed).generate_state(3).tolist()
+    return RunSeeds(policy % 2**31, training_seeds[training % len(training_seeds)], cross_check)
 
 
-def certified_seeds(config: RunConfig) -> list[int]:
+def cross_checked_seeds(config: RunConfig) -> list[int]:
     """Return the seeds of the final episodes that are repeated on the reference simulator, sorted.
 
     They are drawn with the run's seed, so that a sweep covers many. On the reference itself, all
     are returned.
     """
     seeds = config.evaluation.seeds(config.evaluation.final_n_scenes)
-    rng = np.random.default_rng(derive_seeds(config.seed, config.env.training_seeds).certified)
-    return sorted(rng.choice(seeds, config.n_certified, replace=False).tolist())
+    rng = np.random.default_rng(derive_seeds(config.seed, config.env.training_seeds).cross_check)
+    return sorted(rng.choice(seeds, config.n_cross_checked, replace=False).tolist())

@@ -28,7 +28,7 @@ from parking_exp.sweeps.sweep import PlannedRun, sweep
 from parking_exp.terminal import console, program
 from parking_exp.tracking.store_writer import StoreWriter
 from parking_exp.tuning.search import Search, read_search
-from parking_exp.tuning.trial_worker import success_auc, work
+from parking_exp.tuning.trial_worker import run_trials, success_auc
 from parking_exp.tuning.trials import (
     OBJECTIVE,
     RETEST_FILE,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 POLL_S = 1.0
 
 
-def tune(search: Search, launcher: Launcher) -> None:
+def run_search(search: Search, launcher: Launcher) -> None:
     """Train the remaining trials, retrain the best on test seeds, and write the winner."""
     if not isinstance(launcher, LocalLauncher):
         raise ConfigError(
@@ -122,7 +122,7 @@ def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
                 return trials
             n_free = n_left - count_states(trials)["running"]
             if n_free > 0:
-                run_workers(partial(work, search), min(n_workers, n_free))
+                run_workers(partial(run_trials, search), min(n_workers, n_free))
             else:
                 time.sleep(POLL_S)
 

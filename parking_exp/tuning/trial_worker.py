@@ -29,7 +29,7 @@ DISK_FULL = os.strerror(errno.ENOSPC)
 POLL_S = 0.5
 
 
-def work(search: Search, train: Train) -> None:
+def run_trials(search: Search, train: Train) -> None:
     """Train trials until none is left, or until `train` returns that it was stopped."""
     from optuna.pruners import MedianPruner, NopPruner
 

@@ -10,7 +10,7 @@ from benchmarks.timing import Side, interleave, seconds, spread
 from parking_exp import compose
 from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.evaluation.agents import load_model
-from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.simulator import Simulator
@@ -109,7 +109,7 @@ def evaluation(n_scenes: int, rounds: int) -> dict[str, Any]:
     """Time the evaluation of the pretrained agent on many scenes."""
     policy, env = greedy_policy(load_model("pretrained")), compose().env
     times = [
-        seconds(lambda: evaluate(policy, make_task(env), range(n_scenes)))
+        seconds(lambda: evaluate_policy(policy, make_task(env), range(n_scenes)))
         for _ in range(rounds + 1)
     ]
     return spread(times[1:])

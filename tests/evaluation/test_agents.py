@@ -15,7 +15,7 @@ from parking_exp.algorithms.policy_files import export_safetensors, load_policy
 from parking_exp.errors import ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
 from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model
-from parking_exp.evaluation.evaluate_policy import evaluate, summarise
+from parking_exp.evaluation.evaluate_policy import evaluate_policy, summarise
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.registry import make_task
 
@@ -65,7 +65,7 @@ def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
     assert agent.config.seed == 0
     assert agent.config.env.name == env
     task = make_task(agent.config.env)
-    episodes = evaluate(greedy_policy(agent.load(task)), task, range(50))
+    episodes = evaluate_policy(greedy_policy(agent.load(task)), task, range(50))
     assert summarise(episodes, METRICS)[metric] == rate
 
 

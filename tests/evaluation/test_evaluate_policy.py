@@ -10,7 +10,7 @@ from support.runs import make_config
 from parking_exp import load_model
 from parking_exp.evaluation.evaluate_policy import (
     describe,
-    evaluate,
+    evaluate_policy,
     find_differences,
     rank,
     summarise,
@@ -35,7 +35,7 @@ def wait(observation):
 def test_one_row_per_scene_in_the_order_asked_for():
     env = make_config("env.duration=2").env
     scenes = [5, 3, 40, 0, *range(100, 140)]  # more than run side by side
-    table = evaluate(wait, make_task(env), scenes)
+    table = evaluate_policy(wait, make_task(env), scenes)
     assert list(table.columns) == episode_columns(METRICS)
     assert table["scene"].tolist() == scenes
     assert set(table["outcome"]) == {"timeout"}
@@ -50,7 +50,7 @@ def test_rows_are_what_a_plain_loop_sees():
     while not done:
         _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0]))
         total, steps, done = total + reward, steps + 1, terminated or truncated
-    (row,) = evaluate(straight_on, make_task(env_config), [1]).to_dict("records")
+    (row,) = evaluate_policy(straight_on, make_task(env_config), [1]).to_dict("records")
     assert (row["steps"], row["return"], row["outcome"]) == (
         steps,
         total,
@@ -73,7 +73,7 @@ def test_the_driven_path_and_changes_of_gear_are_measured(simulator):
         return np.tile([next(actions), 0.0], (len(observation["observation"]), 1))
 
     task = make_task(make_config("env.duration=2.9").env)
-    (row,) = evaluate(ahead_and_back, task, [1], simulator=simulator).to_dict("records")
+    (row,) = evaluate_policy(ahead_and_back, task, [1], simulator=simulator).to_dict("records")
     task.close()
     assert row["steps"] == 15
     ahead = sum(speed / 5 + 1 / 15 for speed in range(5))
@@ -92,7 +92,7 @@ def test_a_trained_agent_drives_further_than_the_shortest_path():
     def policy(observation):
         return agent.predict(observation, deterministic=True)[0]
 
-    table = evaluate(policy, make_task(env), range(20))
+    table = evaluate_policy(policy, make_task(env), range(20))
     assert (table["outcome"] == "success").all()
     assert table["park_s"].tolist() == pytest.approx((table["steps"] / 5).tolist())
     assert table["path_efficiency"].between(0.3, 1.001).all()

@@ -17,7 +17,7 @@ from parking_exp import compose, train
 from parking_exp.config.compose import compose_configs
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.evaluation.agents import find_agent
-from parking_exp.evaluation.evaluate_run import choose_env, validate_request
+from parking_exp.evaluation.evaluate_run import choose_env, validate_evaluation
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.metrics import episode_columns
@@ -144,7 +144,8 @@ def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
     OmegaConf.update(config, "env.observation.vehicles_count", 4)
     OmegaConf.save(config, directory.path / "config.yaml")
     (request,) = (
-        validate_request(config) for config in compose_configs("evaluate", ["env=parking_crowded"])
+        validate_evaluation(config)
+        for config in compose_configs("evaluate", ["env=parking_crowded"])
     )
     env = choose_env(request, find_agent(str(directory.path), directory.output_dir))
     assert (env.name, env.vehicles_count) == ("parking_crowded", 10)
@@ -165,7 +166,7 @@ def test_an_agent_keeps_its_features_on_another_lot(parked_in_parallel, other):
     """Also where the other lot has another length and other symmetries."""
     agent = find_agent(str(parked_in_parallel), parked_in_parallel.parents[2])
     (config,) = compose_configs("evaluate", [f"run={parked_in_parallel}", f"++{other}"])
-    task = make_task(choose_env(validate_request(config), agent))
+    task = make_task(choose_env(validate_evaluation(config), agent))
     extractor = agent.load(task).policy.actor.features_extractor
     assert extractor.lot_size_m == (81.0, 22.0)
     task.close()
@@ -230,7 +231,7 @@ def test_a_pretrained_agent_is_evaluated_on_20_scenes_and_a_run_on_100_by_defaul
         (["episodes=7"], range(7)),
     ):
         (config,) = compose_configs("evaluate", [f"run={run}", *arguments])
-        assert validate_request(config).seeds == expected
+        assert validate_evaluation(config).seeds == expected
 
 
 def test_two_evaluations_with_one_name_are_refused_before_anything_is_written(tmp_path):

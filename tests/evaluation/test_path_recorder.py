@@ -6,7 +6,7 @@ import pytest
 from support.runs import make_config
 from support.user_tasks import Steps
 
-from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.registry import make_task
@@ -37,7 +37,7 @@ def test_a_path_has_the_pose_at_the_start_and_after_each_step_until_the_crash(si
     env_config = make_config("env.duration=10").env
     task = make_task(env_config)
     paths = PathRecorder(task, [7, 2])
-    episodes = evaluate(turn, task, [1, 2, 3, 7], simulator=simulator, paths=paths)
+    episodes = evaluate_policy(turn, task, [1, 2, 3, 7], simulator=simulator, paths=paths)
     task.close()
 
     assert set(episodes["outcome"]) == {"crash"}
@@ -55,7 +55,7 @@ def test_equal_paths_are_equal_files_in_millimetres(tmp_path):
     task = make_task(make_config("env.duration=1").env)
     for name in ("first", "second"):
         paths = PathRecorder(task, [0])
-        evaluate(turn, task, [0], paths=paths)
+        evaluate_policy(turn, task, [0], paths=paths)
         paths.write(tmp_path / name)
     assert (tmp_path / "first").read_bytes() == (tmp_path / "second").read_bytes()
     stored = pd.read_csv(tmp_path / "first", compression="gzip")
@@ -65,6 +65,6 @@ def test_equal_paths_are_equal_files_in_millimetres(tmp_path):
 def test_a_task_without_positions_has_no_paths(tmp_path):
     task = Steps()
     paths = PathRecorder(task, [0])
-    evaluate(lambda seen: np.ones((len(seen["observation"]), 1)), task, [0], paths=paths)
+    evaluate_policy(lambda seen: np.ones((len(seen["observation"]), 1)), task, [0], paths=paths)
     paths.write(tmp_path / "paths")
     assert not (tmp_path / "paths").exists()

@@ -20,7 +20,7 @@ from support.runs import call_script
 from support.user_features import DoubledExtractor
 
 from parking_exp.config.compose import compose_configs
-from parking_exp.evaluation.evaluate_run import validate_request
+from parking_exp.evaluation.evaluate_run import validate_evaluation
 from parking_exp.evaluation.sb3_model_files import find_agent_in_file
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.tasks.registry import make_task
@@ -74,7 +74,7 @@ def evaluate(path, output_dir, *arguments):
 def restored(path, output_dir, *arguments):
     """Return the model that evaluate.py loads."""
     words = [f"run='{path}'", f"output_dir='{output_dir}'", "env=parking", *arguments]
-    request = validate_request(compose_configs("evaluate", words)[0])
+    request = validate_evaluation(compose_configs("evaluate", words)[0])
     agent = find_agent_in_file(
         request.run, request.output_path, request.env, request.algorithm or {}
     )

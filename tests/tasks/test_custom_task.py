@@ -10,7 +10,7 @@ from support.user_tasks import Steps
 
 from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.results import load
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
@@ -57,13 +57,13 @@ def backward(observation):
 def test_episodes_end_at_the_goal_at_a_failure_or_in_time():
     task = Steps()
     columns = ["scene", "outcome", "steps", "return"]
-    assert evaluate(forward, task, [0, 1, 2, 3])[columns].to_numpy().tolist() == [
+    assert evaluate_policy(forward, task, [0, 1, 2, 3])[columns].to_numpy().tolist() == [
         [0, "success", 3, -3.0],
         [1, "success", 2, -1.0],
         [2, "success", 1, 0.0],
         [3, "timeout", 5, -15.0],
     ]
-    assert evaluate(backward, task, [0, 3])[columns].to_numpy().tolist() == [
+    assert evaluate_policy(backward, task, [0, 3])[columns].to_numpy().tolist() == [
         [0, "failure", 2, -9.0],
         [3, "failure", 5, -15.0],
     ]

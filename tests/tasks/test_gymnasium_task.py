@@ -21,7 +21,7 @@ from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, VideoError
 from parking_exp.evaluation import evaluate_run
-from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.tasks import gymnasium_task
 from parking_exp.tasks.environment_checks import resumes_exactly
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
@@ -122,8 +122,8 @@ def but_the_first(observation):
 
 def test_an_episode_ends_at_the_goal_or_at_the_limit_with_seeds_that_reproduce_it():
     task = make_task(config(f"{TOY}BitFlip-v0").env)
-    table = evaluate(but_the_first, task, range(30))
-    pd.testing.assert_frame_equal(table, evaluate(but_the_first, task, range(30)))
+    table = evaluate_policy(but_the_first, task, range(30))
+    pd.testing.assert_frame_equal(table, evaluate_policy(but_the_first, task, range(30)))
     reached = table["outcome"] == "success"
     assert set(table["outcome"]) == {"timeout", "success"}
     assert (table.loc[~reached, "steps"] == 8).all()
@@ -131,7 +131,9 @@ def test_an_episode_ends_at_the_goal_or_at_the_limit_with_seeds_that_reproduce_i
     failing = make_task(
         config(f"{TOY}BitFlip-v0", "env.success_key=lost", "env.failure_key=is_success").env
     )
-    assert (evaluate(but_the_first, failing, range(30))["outcome"] == "failure").equals(reached)
+    assert (evaluate_policy(but_the_first, failing, range(30))["outcome"] == "failure").equals(
+        reached
+    )
 
 
 def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_there():
@@ -264,7 +266,7 @@ def test_any_goal_task_can_be_searched(tmp_path):
 @pytest.mark.parametrize("option", options("env"))
 def test_evaluate_takes_every_env(option):
     lines = [f"env={option}", *(["env.id=FetchReach-v4"] if option == "gymnasium" else [])]
-    request = evaluate_run.validate_request(compose_configs("evaluate", lines)[0])
+    request = evaluate_run.validate_evaluation(compose_configs("evaluate", lines)[0])
     assert request.env["name"] == option
 
 

@@ -8,7 +8,7 @@ import shapely
 from support.runs import make_config
 
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.evaluate_policy import evaluate, find_differences
+from parking_exp.evaluation.evaluate_policy import evaluate_policy, find_differences
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.planning import Planner
 from parking_exp.tasks.parking.planning.trajectory import REFERENCE, Pace, trajectory
@@ -75,24 +75,24 @@ def test_the_path_of_a_scene_depends_on_the_seeds_of_run_and_scene_alone():
 def test_the_car_parks_in_the_simulator_and_in_highway_env(env, level):
     planner = make_planner(f"env={env}", f"env.level={level}")
     scenes = range(6)
-    episodes = evaluate(planner, planner.task, scenes, simulator="vectorized")
+    episodes = evaluate_policy(planner, planner.task, scenes, simulator="vectorized")
     assert episodes["outcome"].tolist() == ["success"] * 6
     assert episodes["parked"].all()
     assert (episodes["plan_s"] > 0).all()
-    certified = evaluate(planner, planner.task, scenes, simulator="highway_env")
+    certified = evaluate_policy(planner, planner.task, scenes, simulator="highway_env")
     assert find_differences(episodes, certified) == []
 
 
 def test_obstacles_and_parked_cars_of_highway_envs_own_lot_are_avoided():
     planner = make_planner("env=parking_crowded", "env.obstacles=3")
-    episodes = evaluate(planner, planner.task, range(6))
+    episodes = evaluate_policy(planner, planner.task, range(6))
     assert episodes["outcome"].tolist() == ["success"] * 6
 
 
 @pytest.mark.parametrize("ranges", ["acceleration_range=[-1,1]", "speed_range=[-1,1]"])
 def test_a_slower_car_parks_too(ranges):
     planner = make_planner("algorithm=planner", *TIGHT, f"env.action.{ranges}")
-    assert evaluate(planner, planner.task, range(6))["outcome"].tolist() == ["success"] * 6
+    assert evaluate_policy(planner, planner.task, range(6))["outcome"].tolist() == ["success"] * 6
 
 
 def test_a_scene_in_which_ompl_would_repeat_a_step_forever_is_solved():
@@ -102,7 +102,7 @@ def test_a_scene_in_which_ompl_would_repeat_a_step_forever_is_solved():
 def test_without_a_path_the_car_stands_until_the_time_is_over():
     planner = make_planner(*TIGHT, "env.duration=2", time_limit_s=1e-9)
     assert len(planner.find_path(0)) == 1
-    (row,) = evaluate(planner, planner.task, [0]).to_dict("records")
+    (row,) = evaluate_policy(planner, planner.task, [0]).to_dict("records")
     assert row["outcome"] == "timeout"
     assert row["steps"] == 11
     assert row["speed_mps"] == pytest.approx(0, abs=1e-9)

@@ -12,7 +12,7 @@ import pytest
 from support.runs import make_config
 
 from parking_exp.errors import VideoError
-from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.tasks.parking.episode_recording import MOTION, record_episodes
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot import lot_of
@@ -96,7 +96,7 @@ def test_controls_are_in_units_of_the_car():
 
 def test_outcomes_and_steps_are_those_of_an_evaluation():
     episodes = recorded()
-    table = evaluate(wander, make_task(crowded_env()), SEEDS, simulator="vectorized")
+    table = evaluate_policy(wander, make_task(crowded_env()), SEEDS, simulator="vectorized")
     assert [episode.seed for episode in episodes] == table["scene"].tolist()
     assert [episode.outcome for episode in episodes] == table["outcome"].tolist()
     assert [len(episode.motion) - 1 for episode in episodes] == table["steps"].tolist()

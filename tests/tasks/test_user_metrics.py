@@ -11,7 +11,7 @@ from support.runs import call_script, make_config, only_run
 
 from parking_exp.errors import ConfigError, UntrustedError
 from parking_exp.evaluation.agents import load_model
-from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.results import load, read_export
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.custom_config import CustomConfig
@@ -39,7 +39,7 @@ def test_a_metric_of_parking_has_the_pose_at_the_end_and_the_same_info_in_both_s
 
     tables = []
     for simulator in ("vectorized", "highway_env"):
-        tables.append(evaluate(straight_on, task, range(8), simulator=simulator))
+        tables.append(evaluate_policy(straight_on, task, range(8), simulator=simulator))
 
     assert list(tables[0].columns[-3:]) == ["centred", "ended", "last_speed"]
     assert tables[0]["centred"].tolist() == (tables[0]["distance_m"] < 0.5).tolist()
@@ -53,7 +53,7 @@ def test_a_metric_of_a_goal_environment_has_its_last_info():
     metric = f"env.metrics=[{OWN}.was_lost]"
     task = make_task(make_config(*options, "algorithm.learning_starts=400", metric).env)
 
-    table = evaluate(first_bit, task, range(4))
+    table = evaluate_policy(first_bit, task, range(4))
 
     assert table.columns[-1] == "was_lost"
     assert table["was_lost"].tolist() == [False] * 4
@@ -64,7 +64,7 @@ def test_a_metric_of_a_task_of_arrays_has_its_state_at_the_end():
         task="support.user_tasks.Steps", name="steps", metrics=[f"{OWN}.position"]
     )
 
-    table = evaluate(forward, make_task(config), [0, 2])
+    table = evaluate_policy(forward, make_task(config), [0, 2])
 
     assert table["position"].tolist() == [3.0, 3.0]
 

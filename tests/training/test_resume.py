@@ -17,7 +17,7 @@ from support.runs import make_config, only_run
 
 from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.errors import FailedRunError, InterruptedRunError
-from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.evaluation.video import record_video
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
@@ -143,7 +143,7 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
 
 def cut_in_the_third_evaluation():
     calls = iter(range(100))
-    return cut(run_session, "evaluate", lambda *_: next(calls) == 2)
+    return cut(run_session, "evaluate_policy", lambda *_: next(calls) == 2)
 
 
 @pytest.mark.parametrize(
@@ -221,10 +221,11 @@ def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alon
 ):
     env, model = composed_once(*overrides).env, built(*overrides).learn(20)
     before = comparable(rollout_state.get_state(model))
-    evaluate(greedy_policy(model), make_task(env), range(3), simulator="vectorized")
+    evaluate_policy(greedy_policy(model), make_task(env), range(3), simulator="vectorized")
     if not overrides:
-        evaluate(greedy_policy(model), make_task(env), range(3), simulator="highway_env")
-        record_video(greedy_policy(model), make_task(env), range(1), tmp_path / "video.mp4")
+        evaluate_policy(greedy_policy(model), make_task(env), range(3), simulator="highway_env")
+        path = tmp_path / "video.mp4"
+        assert record_video(greedy_policy(model), make_task(env), range(1), path) is None
     assert comparable(rollout_state.get_state(model)) == before
 
 

@@ -31,7 +31,7 @@ from parking_exp import __version__
 from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.errors import ConfigError, FailedRunError, RunLockedError
-from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train, ui_command
 from parking_exp.tasks.metrics import episode_columns
@@ -41,7 +41,7 @@ from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints, loop, run_session
-from parking_exp.training.seeds import certified_seeds
+from parking_exp.training.seeds import cross_checked_seeds
 
 STEPS = [100, 200, 300, 400]
 MISSING = (
@@ -158,7 +158,7 @@ def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_
     envs = make_training_envs(task, 1)
     model = build_model(config, task, envs, seed=0, for_training=False)
     load_weights(directory.models / "final.zip", model)
-    theirs = evaluate(
+    theirs = evaluate_policy(
         greedy_policy(model), make_task(config.env), range(5), simulator="highway_env"
     )
     assert table.loc["certified", "return"].tolist() == pytest.approx(
@@ -179,8 +179,8 @@ def test_some_final_scenes_drawn_by_the_seed_are_certified(tmp_path):
     table = pd.read_csv(config.run_dir / "episodes.csv").drop(columns="step").set_index("phase")
     final, certified = (table.loc[phase].set_index("scene") for phase in ("final", "certified"))
     assert final.index.tolist() == [0, 1, 2, 3, 4]
-    assert certified.index.tolist() == certified_seeds(config) == [1, 4]
-    assert certified_seeds(config.model_copy(update={"seed": 1})) == [0, 1]
+    assert certified.index.tolist() == cross_checked_seeds(config) == [1, 4]
+    assert cross_checked_seeds(config.model_copy(update={"seed": 1})) == [0, 1]
     pd.testing.assert_frame_equal(final.loc[certified.index], certified)
     assert result.metrics["final/steps_mean"] == final["steps"].mean()
     assert result.metrics["certified/steps_mean"] == certified["steps"].mean()

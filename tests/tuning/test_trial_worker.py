@@ -14,7 +14,7 @@ from parking_exp.errors import OutputDirectoryError, ResultsError
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.search import Search, read_search
-from parking_exp.tuning.trial_worker import success_auc, work
+from parking_exp.tuning.trial_worker import run_trials, success_auc
 
 
 @pytest.fixture
@@ -55,9 +55,9 @@ def test_a_killed_run_is_tried_three_times_and_a_full_disk_leaves_the_trial_open
         calls, status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}"
     )
     with pytest.raises(OutputDirectoryError, match=r"trial 0: .*No space left"):
-        work(search, full_disk)
+        run_trials(search, full_disk)
     assert (len(calls), trials(search)[0].state) == (3, "pending")
-    work(
+    run_trials(
         search,
         training_that_ends_with(calls, status="failed", error="killed by SIGKILL", killed=True),
     )
@@ -66,14 +66,14 @@ def test_a_killed_run_is_tried_three_times_and_a_full_disk_leaves_the_trial_open
 
 
 def test_a_failed_run_fails_its_trial_and_a_stopped_one_leaves_it_open(search):
-    work(search, training_that_ends_with([], status="failed", error="broken"))
+    run_trials(search, training_that_ends_with([], status="failed", error="broken"))
     for trial in trials(search):
         assert (trial.state, trial.reason) == ("failed", "seed 1001: broken")
     more = Search([*search.overrides, "n_trials=3"])
-    work(more, lambda path: "stopped")
+    run_trials(more, lambda path: "stopped")
     more.save()
     assert trials(more)[2].state == "pending"
-    work(more, succeed)
+    run_trials(more, succeed)
     last = trials(more)[2]
     assert (last.state, last.by_seed, last.value) == ("done", [0.5, 0.5], 0.5)
 
@@ -85,7 +85,7 @@ def test_a_trial_that_is_worse_than_the_median_is_pruned_after_a_seed_and_trial_
     more = Search([*search.overrides, "n_trials=7"])
     more.save()
     for _ in range(2):  # the second time there is nothing to do
-        work(more, succeed)
+        run_trials(more, succeed)
         first, *_, last = trials(more)
         assert (first.state, len(first.runs)) == ("done", 2)
         assert (last.state, len(last.runs)) == ("pruned", 1)
@@ -113,16 +113,16 @@ def test_results_that_were_deleted_end_the_search_and_deleting_their_run_mends_i
     def stop_at_second_seed(path):
         return "stopped" if path.name == "seed=1002" else succeed(path)
 
-    work(search, stop_at_second_seed)
+    run_trials(search, stop_at_second_seed)
     path = search.base.output_path / trials(search)[0].runs[0]
     (path / "result.json").unlink()
     with pytest.raises(ResultsError) as refused:
-        work(search, succeed)
+        run_trials(search, succeed)
     assert str(refused.value) == (
         f"{path}: the finished run has no success rate left; delete the directory to train it again"
     )
     assert trials(search)[0].state == "pending"
 
     shutil.rmtree(path)
-    work(search, succeed)
+    run_trials(search, succeed)
     assert [trial.by_seed for trial in trials(search)] == [[0.5, 0.5]] * 2

@@ -8,7 +8,7 @@ import numpy as np
 
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 
-Range = tuple[float, float]
+Limits = tuple[float, float]
 
 
 def slip_angle(steering: np.ndarray) -> np.ndarray:
@@ -49,7 +49,7 @@ def advance(
 
 
 def limited_acceleration(
-    acceleration: np.ndarray, speed: np.ndarray, speed_range: Range
+    acceleration: np.ndarray, speed: np.ndarray, speed_range: Limits
 ) -> np.ndarray:
     """Return the acceleration after highway-env's speed limiter: a car that is too fast is slowed
     down, not stopped.

@@ -32,7 +32,7 @@ from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import MOST_SCENES, Scenes
 from parking_exp.tasks.parking.simulator.collisions import Collisions, Fixtures
 from parking_exp.tasks.parking.simulator.dynamics import (
-    Range,
+    Limits,
     advance,
     limited_acceleration,
     slip_angle,
@@ -53,7 +53,7 @@ class Simulator:
         self._low = np.array([[low] for low, _ in action.ranges])
         self._span = np.array([[high - low] for low, high in action.ranges])
         low, high = action.range_of("speed_range")
-        self.speed_range: Range = (low, high)
+        self.speed_range: Limits = (low, high)
         self.clip = action.clip
         self.frames = config.simulation_frequency // config.policy_frequency
         self.dt = 1 / config.simulation_frequency
