@@ -20,7 +20,7 @@ from parking_exp.config.schema import BufferConfig
 from parking_exp.tasks.registry import ENV_CONFIGS
 
 Setting = str | int | float | bool | None
-Config = Mapping[str, Setting]
+FlatConfig = Mapping[str, Setting]
 """Dotted keys -> values of one cell."""
 
 GROUPS = ("env", "algorithm", "buffer")
@@ -84,7 +84,7 @@ def can_matter(key: str) -> bool:
     return key != "seed" and changes_results(key)
 
 
-def differing_keys(configs: Sequence[Config]) -> list[str]:
+def differing_keys(configs: Sequence[FlatConfig]) -> list[str]:
     """Return the keys that can change a result and differ between configs."""
     differing = []
     for key in sorted(set().union(*configs)):
@@ -95,7 +95,7 @@ def differing_keys(configs: Sequence[Config]) -> list[str]:
 
 
 def find_factors(
-    configs: Sequence[Config], experiments: Sequence[str]
+    configs: Sequence[FlatConfig], experiments: Sequence[str]
 ) -> tuple[list[Factor], list[dict[str, Setting]]]:
     """Return the factors of cells, given the config and the experiment of each, and the value of
     each factor by cell.
@@ -114,7 +114,7 @@ def find_factors(
     return factors, settings
 
 
-def with_defaults(config: Config) -> dict[str, Setting]:
+def with_defaults(config: FlatConfig) -> dict[str, Setting]:
     """Return a config with the defaults of the keys that stored configs leave out."""
     whole: dict[str, Setting] = {}
     if "buffer.name" in config:
@@ -139,7 +139,7 @@ def _defaults_left_out(model: type[BaseModel], prefix: str) -> dict[str, Setting
 
 
 def _option_columns(
-    configs: Sequence[Config], experiments: Sequence[str]
+    configs: Sequence[FlatConfig], experiments: Sequence[str]
 ) -> dict[str, list[Setting]]:
     """Return the experiments, labels and options of groups by cell, where they differ."""
     columns: dict[str, list[Setting]] = {}
@@ -157,7 +157,7 @@ def _option_columns(
 
 
 def _add_key_columns(
-    columns: dict[str, list[Setting]], varying: Sequence[str], configs: Sequence[Config]
+    columns: dict[str, list[Setting]], varying: Sequence[str], configs: Sequence[FlatConfig]
 ) -> None:
     """Add the values of those keys that no column determines."""
     options = list(columns.values())
@@ -182,7 +182,9 @@ def _rank(key: str) -> tuple[bool, bool]:
     return key.startswith("evaluation."), "." in key
 
 
-def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple[str, str], str]:
+def label_by_experiment(
+    configs: Mapping[tuple[str, str], FlatConfig],
+) -> dict[tuple[str, str], str]:
     """Return the label of each cell within its experiment, given configs by (experiment, name)."""
     labels: dict[tuple[str, str], str] = {}
     for experiment in dict.fromkeys(experiment for experiment, _ in configs):
@@ -193,7 +195,7 @@ def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple
     return labels
 
 
-def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
+def label_cells(configs: Sequence[FlatConfig], names: Sequence[str]) -> list[str]:
     """Return the labels of an experiment's cells.
 
     A single cell without a label of its own is called by its algorithm, and by its buffer if it is
@@ -287,7 +289,7 @@ def _change_together(values: Sequence[Setting], column: Sequence[Setting]) -> bo
     return _follows(values, column) and _follows(column, values)
 
 
-def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
+def _with_null(key: str, values: Sequence[Setting], configs: Sequence[FlatConfig]) -> list[Setting]:
     """Return the values of a key, with "null" where it is missing but its group's option has it.
 
     An option has the key if it has a value in any cell with this option.

@@ -13,8 +13,8 @@ from pydantic import TypeAdapter
 
 from parking_exp.config.cell_labels import (
     LABEL,
-    Config,
     Factor,
+    FlatConfig,
     Setting,
     can_matter,
     display_setting,
@@ -45,7 +45,7 @@ class CellRuns:
 
     experiment: str
     name: str
-    config: Config
+    config: FlatConfig
     runs: pd.DataFrame
     id: str = ""
     label: str = ""

@@ -178,10 +178,6 @@ class ReportData:
     declared: bool = False  # whether the pairs are contrasts
     tuning: "StoredSearch | None" = None  # the search; the name is that of `report.json`
 
-    def cell(self, cell_id: str) -> CellSummary:
-        """Return a cell by its id."""
-        return next(cell for cell in self.cells if cell.id == cell_id)
-
     @property
     def stages(self) -> Counter[str]:
         """The number of runs that are done, running, failed and pending, where there are some."""

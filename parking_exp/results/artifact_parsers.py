@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.cell_labels import Config, settings_of
+from parking_exp.config.cell_labels import FlatConfig, settings_of
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.runs.atomic_files import parse_plain_yaml
 from parking_exp.tasks.metrics import EPISODE_SEED
@@ -47,7 +47,7 @@ NUMBERS = {name: kind for name, kind in EPISODES.items() if name not in CATEGORI
 SEED_LINE = re.compile(rb"^seed: (\d{1,10})$", re.MULTILINE)
 
 
-def config_reader() -> Callable[[bytes], Config]:
+def config_reader() -> Callable[[bytes], FlatConfig]:
     """Return a parser of the content of a `config.yaml`; any error means that it is damaged.
 
     Runs of a cell differ in the line of their seed; what they share is parsed once, since YAML is
@@ -55,13 +55,13 @@ def config_reader() -> Callable[[bytes], Config]:
     """
 
     @cache
-    def read_shared(content: bytes) -> Config:
+    def read_shared(content: bytes) -> FlatConfig:
         config = parse_plain_yaml(content)
         if not isinstance(config, dict):
             raise ValueError("it is not a mapping")
         return settings_of(config)
 
-    def read(content: bytes) -> Config:
+    def read(content: bytes) -> FlatConfig:
         seed = SEED_LINE.search(content)
         if seed is None:
             return read_shared(content)

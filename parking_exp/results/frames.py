@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.cell_labels import Config, Setting
+from parking_exp.config.cell_labels import FlatConfig, Setting
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
 from parking_exp.results.artifact_parsers import (
@@ -232,7 +232,7 @@ def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) ->
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 
 
-def _with_configs(runs: pd.DataFrame, configs: Mapping[str, Config]) -> pd.DataFrame:
+def _with_configs(runs: pd.DataFrame, configs: Mapping[str, FlatConfig]) -> pd.DataFrame:
     """Return runs with the columns of their configs, which are given by run id."""
     rows = [configs.get(run_id, {}) for run_id in runs["run_id"]]
     for key, column in CONFIGURED.items():

@@ -41,13 +41,13 @@ class BatchVecEnv(VecEnv):
 
     def __init__(
         self,
-        simulator: TrainingBatch,
+        batch: TrainingBatch,
         goal_reward: GoalReward,
         n_envs: int,
         observation_space: spaces.Dict,
         action_space: spaces.Box,
     ) -> None:
-        self.simulator = simulator
+        self.batch = batch
         self.goal_reward = goal_reward
         super().__init__(n_envs, observation_space, action_space)
         self._rng = np.random.default_rng()
@@ -69,9 +69,9 @@ class BatchVecEnv(VecEnv):
             episodes = self.from_seeds([seed or 0 for seed in self._seeds])
         else:
             episodes = self.draw(self._rng, self.num_envs)
-        self.simulator.start(episodes)
+        self.batch.start(episodes)
         self._reset_seeds()
-        return self.simulator.observe()
+        return self.batch.observe()
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions of the next step, shape (n_envs, actions)."""
@@ -79,7 +79,7 @@ class BatchVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step all envs. Where an episode ended, the observation is the next one's first."""
-        step = self.simulator.step(self._actions)
+        step = self.batch.step(self._actions)
         done = step.terminated | step.truncated
         failure_key: Any = self.goal_reward.failure_key
         infos: list[dict[str, Any]] = []
@@ -92,19 +92,19 @@ class BatchVecEnv(VecEnv):
                 last = {key: value[row].copy() for key, value in step.observation.items()}
                 only_time = bool(step.truncated[row] and not step.terminated[row])
                 infos[row] |= {"terminal_observation": last, "TimeLimit.truncated": only_time}
-            self.simulator.start(self.draw(self._rng, len(ended)), ended)
-            for key, value in self.simulator.observe(ended).items():
+            self.batch.start(self.draw(self._rng, len(ended)), ended)
+            for key, value in self.batch.observe(ended).items():
                 step.observation[key][ended] = value
         return step.observation, step.reward.astype(np.float32), done, infos
 
     def get_state(self) -> dict[str, Any]:
         """Return the whole state, the generator of episodes included."""
         rng = self._rng.bit_generator.state
-        return {"simulator": self.simulator.get_state(), "rng": rng, "seeds": list(self._seeds)}
+        return {"simulator": self.batch.get_state(), "rng": rng, "seeds": list(self._seeds)}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore a state; what follows is identical."""
-        self.simulator.set_state(state["simulator"])
+        self.batch.set_state(state["simulator"])
         self._rng.bit_generator.state = state["rng"]
         self._seeds = list(state["seeds"])
 

@@ -314,7 +314,7 @@ def test_a_factorial_report_begins_with_what_each_factor_does_the_largest_first(
 
 
 def matched(report):
-    return {(report.cell(pair.a).label, report.cell(pair.b).label) for pair in report.pairs}
+    return {(report.labels[pair.a], report.labels[pair.b]) for pair in report.pairs}
 
 
 def test_factors_of_cells_with_one_seed_have_too_few():
@@ -393,7 +393,7 @@ def test_many_cells_are_compared_with_the_best_one_and_the_best_are_shown():
     cells = {str(i): {"algorithm.gamma": 0.5 + i / 100} for i in range(40)}
     report = content(cells, [0], lambda label, seed: Run(success=int(label) % 3 / 2))
     assert (len(report.cells), len(report.shown), len(report.pairs)) == (40, 12, 39)
-    assert all(report.cell(shown).success.value == 1.0 for shown in report.shown)
+    assert all(cell.success.value == 1.0 for cell in report.shown_cells)
     assert "chosen by its result" in report.family
 
 
@@ -406,7 +406,7 @@ def declaring(*contrasts, n=20):
 
 def compared(report):
     return [
-        tuple(report.cell(side).label.partition("gamma=0.")[2] for side in (p.a, p.b))
+        tuple(report.labels[side].partition("gamma=0.")[2] for side in (p.a, p.b))
         for p in report.pairs
     ]
 
@@ -516,7 +516,8 @@ def test_an_ambiguous_baseline_is_looked_up_among_the_chosen_cells():
     with pytest.raises(ConfigError, match=r"baseline=replay: 2 cells fit"):
         content(cells, baseline="replay")
     report = content(cells, cells=["env=parking_sparse"], baseline="replay")
-    assert report.cell(report.baseline).name == "parking_sparse-sparse-replay"
+    names = {cell.id: cell.name for cell in report.cells}
+    assert names[report.baseline] == "parking_sparse-sparse-replay"
     for chosen in (["env=parking,parking_sparse"], ["her_future*"]):
         with pytest.raises(ConfigError, match="2 cells fit"):
             content(cells, cells=chosen, baseline="replay")

@@ -85,9 +85,7 @@ def test_conditions_that_are_the_same_in_every_row_are_in_the_caption():
         " Seeds in every row: 10. Env steps in every row: 40,000."
     )
     assert not {"Seeds", "Env steps"} & {*titles["headline"]}
-    assert tables["pairs"].caption.endswith(
-        f" B in every row: {report.cell(report.reference).label}."
-    )
+    assert tables["pairs"].caption.endswith(f" B in every row: {report.labels[report.reference]}.")
     assert (titles["pairs"][:2], "Episodes" in titles["seeds"]) == (["A", "A − B (points)"], False)  # noqa: RUF001
     mixed = [replace(cell, total_timesteps=n) for n, cell in enumerate(report.cells)]
     contents = section_contents(replace(report, cells=mixed))

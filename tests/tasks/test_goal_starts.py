@@ -144,7 +144,7 @@ def test_training_starts_there_and_an_evaluation_does_not():
     envs.seed(5)
     envs.reset()
     expected = GoalStarts(env).from_seeds(range(5, 13)).start
-    assert np.array_equal(envs.simulator.state.position.T, expected[:, :2])
+    assert np.array_equal(envs.batch.state.position.T, expected[:, :2])
     usual = make_config("env=parking_parallel").env
     assert np.array_equal(lot_of(env).from_seeds([0]).start, lot_of(usual).from_seeds([0]).start)
 

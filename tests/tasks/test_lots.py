@@ -351,7 +351,7 @@ def test_training_tells_her_the_size_of_the_slot():
     envs = ParkingVecEnv(env_config("parking_bays", "level=hard"), 3)
     envs.seed(5)
     envs.reset()
-    sizes = envs.simulator.state.slot_size.copy()
+    sizes = envs.batch.state.slot_size.copy()
     _, _, _, infos = envs.step(np.zeros((3, 2), np.float32))
     told = [[info["slot_length_m"], info["slot_width_m"]] for info in infos]
     np.testing.assert_array_equal(told, sizes)

@@ -147,7 +147,7 @@ def test_training_envs_show_the_vehicles_of_the_next_scene_after_an_end():
     for row, info in enumerate(infos):
         assert info["terminal_observation"]["observation"].shape == (21,)
         np.testing.assert_array_equal(
-            observations["observation"][row], envs.simulator.observe()["observation"][row]
+            observations["observation"][row], envs.batch.observe()["observation"][row]
         )
 
 

@@ -51,9 +51,9 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
         assert their_info["TimeLimit.truncated"] is True
         for key, value in their_info["terminal_observation"].items():
             np.testing.assert_array_equal(our_info["terminal_observation"][key], value)
-    assert (ours.simulator.state.steps == 0).all()  # of a new scene
+    assert (ours.batch.state.steps == 0).all()  # of a new scene
     assert (start["observation"][:, :4] == 0).all()
-    np.testing.assert_array_equal(start["desired_goal"], ours.simulator.observe()["desired_goal"])
+    np.testing.assert_array_equal(start["desired_goal"], ours.batch.observe()["desired_goal"])
 
 
 @pytest.mark.parametrize("option", ["parking", "parking_crowded"])

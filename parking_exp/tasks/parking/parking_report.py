@@ -22,7 +22,7 @@ from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 from parking_exp.tasks.parking.stored_lot import stored_lot
 from parking_exp.tasks.task import TaskReport, TaskSection
 
-OUTCOMES = [metric.name for metric in METRICS if metric.is_outcome]
+PARKING_OUTCOMES = [metric.name for metric in METRICS if metric.is_outcome]
 
 
 @cache
@@ -44,10 +44,10 @@ def outcome_rates(
         A row for each number, ascending: the number by its name, `n` episodes, and a rate for each
             outcome.
     """
-    numbers = episodes["scene"].map(of_scene).rename(key)
+    numbers = episodes[EPISODE_SEED].map(of_scene).rename(key)
     counts = pd.crosstab(numbers, episodes["outcome"].astype(object))
     n = counts.sum(axis=1)
-    rates = counts.reindex(columns=OUTCOMES, fill_value=0).div(n, axis=0)
+    rates = counts.reindex(columns=PARKING_OUTCOMES, fill_value=0).div(n, axis=0)
     rates.insert(0, "n", n)
     return rates.reset_index().to_dict("records")  # type: ignore[return-value]  # its columns are str
 
@@ -63,7 +63,7 @@ def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, 
         return {}
     episodes = pd.concat(runs)
     lot = stored_lot(config)
-    seeds = tuple(episodes["scene"].unique().tolist())
+    seeds = tuple(episodes[EPISODE_SEED].unique().tolist())
     scenes = _scenes(lot, seeds)
     goals = dict(zip(seeds, scenes.goal.tolist(), strict=True))
     by_section: dict[str, Any] = {}

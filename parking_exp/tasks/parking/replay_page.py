@@ -13,8 +13,8 @@ from parking_exp.pages.html_page import render_html, to_base64
 from parking_exp.tasks.parking.episode_recording import MOTION, RecordedEpisode
 
 TEMPLATE = Path(__file__).parent / "templates" / "replay.html.j2"
-OUTCOMES = ("crash", "timeout", "success")
-"""In the order of the page."""
+OUTCOME_ORDER = ("crash", "timeout", "success")
+"""The order of episodes on the page."""
 
 # Each series is stored in whole numbers of a unit, in m, rad, m/s and m/s². What is smooth is
 # stored as differences, or as differences of differences: small numbers, which compress well.
@@ -32,13 +32,13 @@ FORMATS = {
 
 def render_replay(episodes: Sequence[RecordedEpisode], steps_per_s: float, title: str) -> str:
     """Return a page, one HTML file, that plays episodes; failures come first."""
-    in_order = sorted(episodes, key=lambda episode: OUTCOMES.index(episode.outcome))
+    in_order = sorted(episodes, key=lambda episode: OUTCOME_ORDER.index(episode.outcome))
     counts = Counter(episode.outcome for episode in in_order)
     recording = json.dumps(_recording(in_order, steps_per_s), separators=(",", ":"))
     return render_html(
         TEMPLATE,
         title=title,
-        counts={name: counts[name] for name in OUTCOMES},
+        counts={name: counts[name] for name in OUTCOME_ORDER},
         recording=to_base64(zlib.compress(recording.encode(), 9)),
     )
 

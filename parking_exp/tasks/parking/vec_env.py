@@ -15,7 +15,7 @@ from parking_exp.tasks.parking.simulator import Simulator
 class ParkingVecEnv(BatchVecEnv):
     """VecEnv of n parking envs; the scenes of seeds are highway-env's."""
 
-    simulator: Simulator
+    batch: Simulator
 
     def __init__(self, config: ParkingConfig, n_envs: int) -> None:
         self.lot = lot_of(config) if config.starts == "lot" else GoalStarts(config)
@@ -32,7 +32,7 @@ class ParkingVecEnv(BatchVecEnv):
         keys = self.goal_reward.info_keys
         if not keys:
             return super().step_wait()
-        slot_size = self.simulator.state.slot_size.tolist()
+        slot_size = self.batch.state.slot_size.tolist()
         observations, rewards, dones, infos = super().step_wait()
         for info, size in zip(infos, slot_size, strict=True):
             info.update(zip(keys, size, strict=True))
