@@ -37,9 +37,16 @@ def test_visible_devices_are_those_that_are_shared_out(monkeypatch, visible, exp
 def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_path):
     environment = {**FAILING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
     run_script(
-        "train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", "algorithm._target_=support.user_algorithms.Tells",
-        "torch_threads=null", "hydra.launcher.n_jobs=2", env=environment, code=0,
-    )  # fmt: skip
+        "train",
+        *QUICK,
+        f"output_dir={tmp_path / 'outputs'}",
+        "seeds=2",
+        "algorithm._target_=support.user_algorithms.Tells",
+        "torch_threads=null",
+        "hydra.launcher.n_jobs=2",
+        env=environment,
+        code=0,
+    )
     workers = sorted(
         (json.loads(path.read_text()) for path in tmp_path.glob("*.json")),
         key=lambda worker: worker["cores"],

@@ -8,14 +8,14 @@ from benchmarks import buffers, decisions, simulation, sweeps, training
 from benchmarks.updates import updates
 
 SHORT_RUN = (
-    *(
-        "n_envs=8",
-        "updates_per_step=1",
-        "algorithm.learning_starts=900",
-        "total_timesteps=1200",
-        "env.duration=4",
-    ),
-    *("evaluation.every_n_steps=400", "evaluation.n_scenes=5", "evaluation.final_n_scenes=5"),
+    "n_envs=8",
+    "updates_per_step=1",
+    "algorithm.learning_starts=900",
+    "total_timesteps=1200",
+    "env.duration=4",
+    "evaluation.every_n_steps=400",
+    "evaluation.n_scenes=5",
+    "evaluation.final_n_scenes=5",
     "evaluation.video_episodes=1",
 )
 

@@ -17,17 +17,17 @@ from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.sweep import plan
 
 BARE = (
-    *("evaluation.every_n_steps=null", "evaluation.final_n_scenes=1", "evaluation.n_scenes=1"),
+    "evaluation.every_n_steps=null",
+    "evaluation.final_n_scenes=1",
+    "evaluation.n_scenes=1",
     "evaluation.video_episodes=0",
 )
 SHORT = (
-    *(
-        "n_envs=8",
-        "updates_per_step=1",
-        "env.duration=4",
-        "env.training_duration=2",
-        "algorithm.learning_starts=100",
-    ),
+    "n_envs=8",
+    "updates_per_step=1",
+    "env.duration=4",
+    "env.training_duration=2",
+    "algorithm.learning_starts=100",
     "total_timesteps=108",
 )
 

@@ -44,16 +44,28 @@ def test_every_buffer_binds_to_its_constructor(buffer, simulator):
 
 def test_every_argument_arrives():
     """Also one that is an object, written as a `_target_` node."""
-    schedule = "{_target_: stable_baselines3.common.utils.LinearSchedule, start: 1e-2, end: 1e-3, end_fraction: 1.0}"
+    schedule = (
+        "{_target_: stable_baselines3.common.utils.LinearSchedule, "
+        "start: 1e-2, end: 1e-3, end_fraction: 1.0}"
+    )
     model = built(
-        "algorithm=td3", "algorithm.policy_delay=3", "algorithm.target_policy_noise=0.3", "algorithm.gamma=0.9",
-        "algorithm.tau=0.02", "algorithm.batch_size=33", "algorithm.net_arch=[7,5]", "algorithm.features=raw",
-        "algorithm.action_noise.sigma=[0.2,0.3]", "+algorithm.policy_kwargs.n_critics=3", "buffer.buffer_size=640",
+        "algorithm=td3",
+        "algorithm.policy_delay=3",
+        "algorithm.target_policy_noise=0.3",
+        "algorithm.gamma=0.9",
+        "algorithm.tau=0.02",
+        "algorithm.batch_size=33",
+        "algorithm.net_arch=[7,5]",
+        "algorithm.features=raw",
+        "algorithm.action_noise.sigma=[0.2,0.3]",
+        "+algorithm.policy_kwargs.n_critics=3",
+        "buffer.buffer_size=640",
         "+algorithm.policy_kwargs.activation_fn={_target_:torch.nn.LeakyReLU,negative_slope:0.3}",
         f"+algorithm.policy_kwargs.features_extractor_class={EXTRACTOR}",
         "+algorithm.policy_kwargs.features_extractor_kwargs.cnn_output_dim=32",
-        f"algorithm.learning_rate={schedule}", seed=5,
-    )  # fmt: skip
+        f"algorithm.learning_rate={schedule}",
+        seed=5,
+    )
     assert model.actor.mu[1].negative_slope == 0.3
     assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx(
         [1e-2, 5.5e-3, 1e-3]

@@ -28,7 +28,8 @@ ALGORITHMS = ("SAC", "TD3", "DDPG")
 
 
 def make_model(name, *overrides, module=fast, seed=0):
-    target = f"algorithm._target_={'parking_exp.algorithms.fast' if module is fast else 'stable_baselines3'}.{name}"
+    package = "parking_exp.algorithms.fast" if module is fast else "stable_baselines3"
+    target = f"algorithm._target_={package}.{name}"
     few = (
         "n_envs=8",
         "updates_per_step=1",

@@ -22,12 +22,19 @@ AS_SB3 = (
 
 def untrained(algorithm, *overrides):
     config = make_config(
-        "experiment=smoke", f"algorithm={algorithm}", "algorithm.features=raw", "algorithm.net_arch=[64,64]",
-        "algorithm.batch_size=64", "algorithm.learning_starts=200", "algorithm.learning_rate=3e-3",
-        "algorithm.gamma=0.9", "updates_per_step=1.0", *overrides,
+        "experiment=smoke",
+        f"algorithm={algorithm}",
+        "algorithm.features=raw",
+        "algorithm.net_arch=[64,64]",
+        "algorithm.batch_size=64",
+        "algorithm.learning_starts=200",
+        "algorithm.learning_rate=3e-3",
+        "algorithm.gamma=0.9",
+        "updates_per_step=1.0",
+        *overrides,
         *([] if algorithm == "crossq" else ["algorithm.tau=0.02"]),
         *(["algorithm.action_noise=null"] if algorithm in {"td3", "ddpg"} else []),
-    )  # fmt: skip
+    )
     env = DummyVecEnv([Reach] * 4)
     model = build_model(config, make_task(config.env), env, seed=0)
     model.set_logger(Logger(None, []))

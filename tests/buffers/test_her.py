@@ -142,8 +142,11 @@ def test_given_the_same_indices_batches_are_stable_baselines3s(n_envs, steps):
 
 @settings(max_examples=60, deadline=None)
 @given(
-    n_envs=st.sampled_from([1, 3]), rows=st.integers(9, 40), steps=st.integers(1, 150), seed=st.integers(0, 1000),
-)  # fmt: skip
+    n_envs=st.sampled_from([1, 3]),
+    rows=st.integers(9, 40),
+    steps=st.integers(1, 150),
+    seed=st.integers(0, 1000),
+)
 def test_the_same_transitions_can_be_drawn(n_envs, rows, steps, seed):
     """After any number of steps: Stable-Baselines3 scans for them, we keep two numbers an env."""
     ours, theirs = pair(rows * n_envs, n_envs, steps, seed)

@@ -31,11 +31,19 @@ for name, arguments in json.loads(sys.argv[1]):
 print(json.dumps(done), file=sys.stderr)
 """
 LIGHT = [
-    ("train", "--help"), ("train", "sead=1"), ("train", "n_envs=0"), ("train", "tracking.uri=http://me:word@host"),
-    ("evaluate", "--help"), ("evaluate", "episodes=0"), ("evaluate", "total_timesteps=5"), ("evaluate", "run=nowhere"),
-    ("export", "--help"), ("export", "format=onx"), ("export", "run=nowhere"),
+    ("train", "--help"),
+    ("train", "sead=1"),
+    ("train", "n_envs=0"),
+    ("train", "tracking.uri=http://me:word@host"),
+    ("evaluate", "--help"),
+    ("evaluate", "episodes=0"),
+    ("evaluate", "total_timesteps=5"),
+    ("evaluate", "run=nowhere"),
+    ("export", "--help"),
+    ("export", "format=onx"),
+    ("export", "run=nowhere"),
     ("train", "algorithm=td3,ddpg,sac buffer=her_final,replay dry_run=true"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(
@@ -170,11 +178,28 @@ def test_a_built_wheel_works_from_any_directory(installed_wheel, tmp_path):
     site = installed_wheel
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    code = f"import sys; sys.path.insert(0, {str(site)!r}); from parking_exp.cli.train import main; from parking_exp.config.overrides import config_dir; print(config_dir()); main()"
+    code = (
+        f"import sys; sys.path.insert(0, {str(site)!r})\n"
+        "from parking_exp.cli.train import main\n"
+        "from parking_exp.config.overrides import config_dir\n"
+        "print(config_dir()); main()\n"
+    )
     done = subprocess.run(
-        [sys.executable, "-c", code, "experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0", "hydra/launcher=local"],
-        check=False, capture_output=True, text=True, cwd=elsewhere, timeout=180,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-c",
+            code,
+            "experiment=smoke",
+            "total_timesteps=60",
+            "evaluation.video_episodes=0",
+            "hydra/launcher=local",
+        ],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=elsewhere,
+        timeout=180,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
     assert (elsewhere / "outputs" / "mlflow.db").exists()
@@ -209,9 +234,8 @@ def test_the_help_of_an_installed_command_names_it_and_where_its_keys_are_explai
 def test_a_key_that_is_null_is_one_sentence(tmp_path, key):
     (tmp_path / "mine.yaml").write_text(f"# @package _global_\nexperiment_name: mine\n{key}\n")
     done = call_script("train", "experiment=mine.yaml", cwd=tmp_path)
-    assert (
-        done.stderr
-        == "error: a config file has a key that is null or not a word; write it in quotes, as 'null'\n"
+    assert done.stderr == (
+        "error: a config file has a key that is null or not a word; write it in quotes, as 'null'\n"
     )
 
 

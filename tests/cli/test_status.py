@@ -62,10 +62,22 @@ def test_the_stage_follows_from_status_lock_and_heartbeat(tmp_path):
 
 
 WRONG = {
-    "status": ["done"], "label": 7, "error": {}, "killed": "no", "total_timesteps": -1, "steps": "x", "success_rate": 7.5,
-    "wall_s": 1e300, "cpu_s": True, "memory_bytes": 0.5, "host": [], "pid": "1", "started": "now", "run_id": 3,
+    "status": ["done"],
+    "label": 7,
+    "error": {},
+    "killed": "no",
+    "total_timesteps": -1,
+    "steps": "x",
+    "success_rate": 7.5,
+    "wall_s": 1e300,
+    "cpu_s": True,
+    "memory_bytes": 0.5,
+    "host": [],
+    "pid": "1",
+    "started": "now",
+    "run_id": 3,
     "tracking_uri": ["a"],
-}  # fmt: skip
+}
 
 
 def test_a_damaged_status_affects_only_its_run(tmp_path):

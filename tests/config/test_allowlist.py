@@ -15,7 +15,14 @@ from parking_exp.dotted_paths import import_object
 from parking_exp.errors import UntrustedError
 from parking_exp.runs.run_files import read_config
 
-SIDE_EFFECT = "from pathlib import Path\nPath({path!r}).touch()\ndef make(**_):\n    Path({path!r}).touch()\n    raise LookupError\nclass Made: pass\n"
+SIDE_EFFECT = """
+from pathlib import Path
+Path({path!r}).touch()
+def make(**_):
+    Path({path!r}).touch()
+    raise LookupError
+class Made: pass
+"""
 ACTIVATION = "algorithm.policy_kwargs.activation_fn"
 
 
@@ -83,19 +90,43 @@ def test_an_environment_imports_and_opens_nothing_until_the_user_trusts_it(
 @pytest.mark.parametrize(
     ("key", "value", "named"),
     [
-        *((key, "hostile.Made", key) for key in (
-            "algorithm._target_", "buffer._target_", "algorithm.learning_rate._target_", ACTIVATION,
-            "algorithm.policy_kwargs.optimizer_class", "algorithm.policy_kwargs.features_extractor_class",
-        )),
-        *((key, {"_target_": "hostile.make"}, f"{key}._target_") for key in (
-            "algorithm.action_noise", "algorithm.policy_kwargs.optimizer_kwargs.nested", ACTIVATION,
-        )),
+        *(
+            (key, "hostile.Made", key)
+            for key in (
+                "algorithm._target_",
+                "buffer._target_",
+                "algorithm.learning_rate._target_",
+                ACTIVATION,
+                "algorithm.policy_kwargs.optimizer_class",
+                "algorithm.policy_kwargs.features_extractor_class",
+            )
+        ),
+        *(
+            (key, {"_target_": "hostile.make"}, f"{key}._target_")
+            for key in (
+                "algorithm.action_noise",
+                "algorithm.policy_kwargs.optimizer_kwargs.nested",
+                ACTIVATION,
+            )
+        ),
         ("buffer.deep", [{"_target_": "hostile.make"}], "buffer.deep.0._target_"),
-        (ACTIVATION, {"_target_": "torch.nn.Tanh", "nested": {"_target_": "hostile.make"}}, f"{ACTIVATION}.nested._target_"),
-        (ACTIVATION, {"_target_": "hydra.utils.get_class", "path": "hostile.Made"}, f"{ACTIVATION}._target_"),
-        (ACTIVATION, {"_target_": "hydra.utils.get_method", "_args_": ["hostile.make"]}, f"{ACTIVATION}._target_"),
+        (
+            ACTIVATION,
+            {"_target_": "torch.nn.Tanh", "nested": {"_target_": "hostile.make"}},
+            f"{ACTIVATION}.nested._target_",
+        ),
+        (
+            ACTIVATION,
+            {"_target_": "hydra.utils.get_class", "path": "hostile.Made"},
+            f"{ACTIVATION}._target_",
+        ),
+        (
+            ACTIVATION,
+            {"_target_": "hydra.utils.get_method", "_args_": ["hostile.make"]},
+            f"{ACTIVATION}._target_",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_class_outside_the_allowlist_is_refused_without_importing_it(
     foreign_run, hostile, key, value, named
 ):
@@ -120,14 +151,30 @@ def test_every_class_on_the_list_exists_under_that_name():
 @pytest.mark.parametrize(
     "target",
     [
-        "os.system", "builtins.eval", "eval", "", ".", "torch.nn.", "torch.nn..ReLU", "torch.nn./tmp/torch/nn/hostile.X", None, 3, ["os.system"],
+        "os.system",
+        "builtins.eval",
+        "eval",
+        "",
+        ".",
+        "torch.nn.",
+        "torch.nn..ReLU",
+        "torch.nn./tmp/torch/nn/hostile.X",
+        None,
+        3,
+        ["os.system"],
         # Functions of trusted packages, what they import from elsewhere, and methods.
-        "stable_baselines3.common.save_util.load_from_pkl", "torch.load", "torch.nn.functional.relu", "torch.nn.Module.apply",
-        "stable_baselines3.common.utils.deque", "stable_baselines3.common.noise.copy.deepcopy",
+        "stable_baselines3.common.save_util.load_from_pkl",
+        "torch.load",
+        "torch.nn.functional.relu",
+        "torch.nn.Module.apply",
+        "stable_baselines3.common.utils.deque",
+        "stable_baselines3.common.noise.copy.deepcopy",
         # Classes whose construction does more than that.
-        "stable_baselines3.common.logger.CSVOutputFormat", "parking_exp.runs.directory.RunDirectory", "subprocess.Popen",
+        "stable_baselines3.common.logger.CSVOutputFormat",
+        "parking_exp.runs.directory.RunDirectory",
+        "subprocess.Popen",
     ],
-)  # fmt: skip
+)
 def test_unlisted_targets_are_refused_in_nested_containers(tmp_path, target):
     config = make_config()
     nested = [("a", {"_target_": target})]

@@ -53,7 +53,8 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("algorithm.learning_rate.ende=1e-4", "'end'"),
         (
             "algorithm.verbosity=1",
-            "algorithm.verbosity: there is no such key in algorithm=sac; write ++algorithm.verbosity=",
+            "algorithm.verbosity: there is no such key in algorithm=sac; "
+            "write ++algorithm.verbosity=",
         ),
         (
             "algorithm.margin_m=0.1",
@@ -156,7 +157,11 @@ def test_an_experiment_file_may_be_anywhere(tmp_path):
     path = tmp_path / 'it\'s "a b"' / "own=1.yaml"
     path.parent.mkdir()
     path.write_text(
-        "# @package _global_\ndefaults:\n  - override /algorithm: sac\nexperiment_name: own\nn_envs: 2\n"
+        "# @package _global_\n"
+        "defaults:\n"
+        "  - override /algorithm: sac\n"
+        "experiment_name: own\n"
+        "n_envs: 2\n"
     )
     line = f"experiment={path}"
     config = make_config(line, "n_envs=4")

@@ -135,7 +135,7 @@ def test_a_ratio_far_from_what_the_number_of_envs_suggests_is_warned_of(override
     assert text is None if warning is None else re.search(warning, text)
 
 
-def test_envs_few_has_the_values_of_the_measured_cell_and_composes_with_algorithms_budgets_and_experiments():
+def test_envs_few_has_the_values_of_the_measured_cell_and_composes_with_other_options():
     for other in (
         (),
         ("algorithm=td3",),
@@ -170,12 +170,12 @@ def test_the_tiny_budget_has_a_recipe_for_parking_that_the_command_line_override
 @pytest.mark.parametrize(
     "other",
     [
-        *(["algorithm=tqc"], ["algorithm=crossq"], ["env=parking_stop"]),
-        *(
-            ["env=point_maze"],
-            ["env=point_maze", "algorithm=sac"],
-            ["env=gymnasium", "env.id=FetchReach-v4"],
-        ),
+        ["algorithm=tqc"],
+        ["algorithm=crossq"],
+        ["env=parking_stop"],
+        ["env=point_maze"],
+        ["env=point_maze", "algorithm=sac"],
+        ["env=gymnasium", "env.id=FetchReach-v4"],
     ],
 )
 def test_the_tiny_budget_keeps_the_hyperparameters_of_other_tasks_and_algorithms(other):
@@ -208,14 +208,24 @@ def test_the_cell_is_the_config_without_its_seed():
 @pytest.mark.parametrize(
     ("override", "changes"),
     [
-        ("output_dir=elsewhere", False), ("tracking.mlflow=false", False), ("checkpoint.keep_last=9", False),
-        ("timeout_s=9", False), ("contrasts=[[td3,sac]]", False), ("label=best", False),
-        ("evaluation.video_episodes=0", False), ("evaluation.n_scenes=9", True),
-        ("evaluation.every_n_steps=9", True), ("evaluation.first_scene=9", True),
-        ("+init_latest=true", False), ("init=pretrained/default", True),
-        ("algorithm.gamma=0.9", True), ("total_timesteps=30000", True), ("env.duration=50", True), ("n_envs=4", True),
+        ("output_dir=elsewhere", False),
+        ("tracking.mlflow=false", False),
+        ("checkpoint.keep_last=9", False),
+        ("timeout_s=9", False),
+        ("contrasts=[[td3,sac]]", False),
+        ("label=best", False),
+        ("evaluation.video_episodes=0", False),
+        ("evaluation.n_scenes=9", True),
+        ("evaluation.every_n_steps=9", True),
+        ("evaluation.first_scene=9", True),
+        ("+init_latest=true", False),
+        ("init=pretrained/default", True),
+        ("algorithm.gamma=0.9", True),
+        ("total_timesteps=30000", True),
+        ("env.duration=50", True),
+        ("n_envs=4", True),
     ],
-)  # fmt: skip
+)
 def test_the_run_key_changes_with_what_can_change_results(override, changes):
     assert (make_config(override).run_key != make_config().run_key) is changes
     assert changes_results(override.lstrip("+").partition("=")[0]) is changes

@@ -133,12 +133,18 @@ def test_a_wrong_value_is_refused_in_a_sentence_that_names_its_key(key, value, h
 @pytest.mark.parametrize(
     ("values", "key"),
     [
-        ({"buffer.n_sampled_goal": DELETED, "algorithm.learning_starts": 10}, "algorithm.learning_starts=10"),
+        (
+            {"buffer.n_sampled_goal": DELETED, "algorithm.learning_starts": 10},
+            "algorithm.learning_starts=10",
+        ),
         ({"buffer.goal_selection_strategy": None}, "buffer.n_sampled_goal"),
         ({"env.success_goal_reward": 0.08}, "env.training_success_goal_reward"),
-        ({f"{POLICY}.optimizer_class": "torch.optim.Adamm", f"{POLICY}.optimizer_kwargs.eps": 1}, f"{POLICY}.optimizer_class"),
+        (
+            {f"{POLICY}.optimizer_class": "torch.optim.Adamm", f"{POLICY}.optimizer_kwargs.eps": 1},
+            f"{POLICY}.optimizer_class",
+        ),
     ],
-)  # fmt: skip
+)
 def test_contradictory_keys_are_refused(values, key):
     assert refusal(changed(values)).startswith(key)
 
@@ -222,7 +228,9 @@ def own_algorithm(tmp_path, monkeypatch):
     (tmp_path / "own_algorithm.py").write_text(
         "from stable_baselines3 import SAC\n"
         "class OwnAlgorithm(SAC):\n"
-        "    def __init__(self, policy, env, beta: float, layers: int = 1, tag: str | None = None, **rest):\n"
+        "    def __init__(\n"
+        "        self, policy, env, beta: float, layers: int = 1, tag: str | None = None, **rest\n"
+        "    ):\n"
         "        super().__init__(policy, env, **rest)\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
@@ -239,10 +247,14 @@ def test_a_users_own_class_is_checked_against_its_signature(own_algorithm):
     assert validate(own_algorithm(beta=0.5, tag=None, layers=2)).algorithm.arguments["layers"] == 2
     assert refusal(own_algorithm()).startswith("algorithm.beta is missing")
     for values, key in (
-        ({"beta": "fast"}, "beta"), ({"beta": True}, "beta"), ({"beta": 1, "layers": None}, "layers"),
-        ({"beta": 1, "layers": 1.5}, "layers"), ({"beta": 1, "tag": 3}, "tag"),
-        ({"beta": 1, "tau": 3}, "tau"), ({"beta": 1, "train_freq": "often"}, "train_freq"),
-    ):  # fmt: skip
+        ({"beta": "fast"}, "beta"),
+        ({"beta": True}, "beta"),
+        ({"beta": 1, "layers": None}, "layers"),
+        ({"beta": 1, "layers": 1.5}, "layers"),
+        ({"beta": 1, "tag": 3}, "tag"),
+        ({"beta": 1, "tau": 3}, "tau"),
+        ({"beta": 1, "train_freq": "often"}, "train_freq"),
+    ):
         assert refusal(own_algorithm(**values)).startswith(f"algorithm.{key}")
 
 

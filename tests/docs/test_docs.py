@@ -27,7 +27,8 @@ PAGES = [
 ]
 EXTENDING = ROOT / "docs" / "extending.md"
 LARGE = re.compile(
-    r"train\.py.* experiment=(her|algorithms|variants|goal_tasks)|tune\.py search=recipe (?!.*dry_run)"
+    r"train\.py.* experiment=(her|algorithms|variants|goal_tasks)"
+    r"|tune\.py search=recipe (?!.*dry_run)"
 )
 FENCE = re.compile(r"^```(\w*)(?: title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -224,7 +225,7 @@ print(type(load_model(result.run_dir).actor.features_extractor))
 
 @pytest.fixture
 def user(installed_wheel, tmp_path):
-    """The options of processes in a folder with the examples, and nothing else of this repository."""
+    """The options of processes in a folder with the examples and nothing else of the repository."""
     write_examples(EXTENDING, tmp_path, "python", "yaml")
     environment = {**os.environ, "PYTHONPATH": f"{installed_wheel}:{tmp_path}"}
     return {"cwd": tmp_path, "env": environment, "timeout": 300}

@@ -164,11 +164,21 @@ EPISODES = pd.DataFrame(
 
 def test_a_table_is_summarised_as_rates_with_intervals_and_means():
     assert summarise(EPISODES, METRICS) == {
-        "success_rate": 0.5, "crash_rate": 0.25, "timeout_rate": 0.25, "parked_rate": 0.25, "return_mean": -27.75,
-        "steps_mean": 140.0, "distance_m_mean": 4.125, "heading_error_rad_mean": 0.4, "speed_mps_mean": 1.5,
-        "park_s_mean": 3.0, "path_m_mean": 10.0, "path_efficiency_mean": 0.625, "gear_changes_mean": 1.0,
+        "success_rate": 0.5,
+        "crash_rate": 0.25,
+        "timeout_rate": 0.25,
+        "parked_rate": 0.25,
+        "return_mean": -27.75,
+        "steps_mean": 140.0,
+        "distance_m_mean": 4.125,
+        "heading_error_rad_mean": 0.4,
+        "speed_mps_mean": 1.5,
+        "park_s_mean": 3.0,
+        "path_m_mean": 10.0,
+        "path_efficiency_mean": 0.625,
+        "gear_changes_mean": 1.0,
         "plan_s_mean": 0.5,
-    }  # fmt: skip
+    }
     lines = describe(EPISODES, METRICS)
     assert lines[0] == "success   50.0%   95 % interval 15.0% to 85.0%   2 of 4"
     assert lines[3].startswith("parked    25.0%   95 % interval 4.6% to 69.9%   1 of 4")

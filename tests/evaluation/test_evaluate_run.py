@@ -98,8 +98,14 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     directory, output_dir = finished
     twin = directory.path.with_name("seed=8")
     shutil.copytree(directory.path, twin)
-    arguments = (f"run={directory.path.parents[1]}", f"output_dir={output_dir}", "episodes=3", "simulator=vectorized",
-                 "tracking.mlflow=false", "env.vehicles_count=0,20")  # fmt: skip
+    arguments = (
+        f"run={directory.path.parents[1]}",
+        f"output_dir={output_dir}",
+        "episodes=3",
+        "simulator=vectorized",
+        "tracking.mlflow=false",
+        "env.vehicles_count=0,20",
+    )
     done = call_script("evaluate", *arguments)
     assert done.returncode == 0, done.stderr
     table = [line.split() for line in done.stdout.splitlines()[-2:]]
@@ -238,5 +244,6 @@ def test_two_evaluations_with_one_name_are_refused_before_anything_is_written(tm
     done = call_script("evaluate", "run=pretrained", "episodes=1,2", "name=mine", cwd=tmp_path)
     assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
     assert done.stderr == (
-        "error: two of these evaluations would share a folder; leave name out, and name each run once\n"
+        "error: two of these evaluations would share a folder; leave name out, "
+        "and name each run once\n"
     )

@@ -8,10 +8,16 @@ from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import DrawnFigure, section_contents
 
 SECTIONS = {
-    "final_success": "results", "learning_curves": "curves", "time_to_90": "time", "pairwise": "pairs",
+    "final_success": "results",
+    "learning_curves": "curves",
+    "time_to_90": "time",
+    "pairwise": "pairs",
     "scene_map": "scenes",
-}  # fmt: skip
-SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="490" height="200"><circle cx="90" cy="80" r="20"/></svg>'
+}
+SVG = (
+    b'<svg xmlns="http://www.w3.org/2000/svg" width="490" height="200">'
+    b'<circle cx="90" cy="80" r="20"/></svg>'
+)
 FIGURES = [
     DrawnFigure(name, name.replace("_", " ").capitalize(), "Each point is a seed.", SVG, section)
     for name, section in SECTIONS.items()
@@ -100,7 +106,8 @@ def test_an_injected_inline_script_does_not_run(browser, files):
     tab = browser.new_page()
     tab.goto(files("report").as_uri())
     tab.evaluate(
-        "document.body.append(Object.assign(document.createElement('script'), {text: 'window.pwned = 1'}))"
+        "document.body.append("
+        "Object.assign(document.createElement('script'), {text: 'window.pwned = 1'}))"
     )
     assert tab.evaluate("window.pwned") is None
     tab.close()

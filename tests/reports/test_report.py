@@ -88,7 +88,8 @@ def test_torch_the_simulators_and_optuna_are_not_imported(made):
     code = (
         "import sys; sys.argv = ['report.py', 'experiment=one', *sys.argv[1:]]\n"
         "from parking_exp.cli.report import main; main()\n"
-        "print([*{'torch', 'gymnasium', 'highway_env', 'stable_baselines3', 'optuna'} & {*sys.modules}])"
+        "heavy = {'torch', 'gymnasium', 'highway_env', 'stable_baselines3', 'optuna'}\n"
+        "print([*heavy & {*sys.modules}])"
     )
     command = [sys.executable, "-c", code, f"output_dir={made}", "report.formats=[]"]
     done = subprocess.run(
@@ -176,17 +177,32 @@ def test_hostile_names_are_text_everywhere(output_dir):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["experiment=on"], r"experiment=on: there is no such experiment in sqlite:///.*; did you mean 'one'\?"),
+        (
+            ["experiment=on"],
+            r"experiment=on: there is no such experiment in sqlite:///.*; did you mean 'one'\?",
+        ),
         (["experiment=one", "td4"], r"cells: no cell is called 'td4'; did you mean 'td3'\?"),
         (["basline=td3"], "basline: there is no such key; did you mean 'baseline'"),
         (["trackng.uri=x"], "trackng.uri: there is no such key; did you mean 'tracking.uri'"),
-        (["experiment=one", "contrast=algorithm:sac-td4"], "no cell has 'algorithm=td4'; did you mean 'algorithm=td3'"),
-        (["experiment=one", "contrast=sac-td3"], "contrast=sac-td3: write a factor and two of its levels, e.g. contrast=b"),
-        (["contrast=algorithm:sac-td3", "baseline=sac"], "contrast: cannot be combined with baseline=sac"),
-        (["experiment=one", "report=quik"], r"report=quik: there is no such option; did you mean 'quick'\?"),
+        (
+            ["experiment=one", "contrast=algorithm:sac-td4"],
+            "no cell has 'algorithm=td4'; did you mean 'algorithm=td3'",
+        ),
+        (
+            ["experiment=one", "contrast=sac-td3"],
+            "contrast=sac-td3: write a factor and two of its levels, e.g. contrast=b",
+        ),
+        (
+            ["contrast=algorithm:sac-td3", "baseline=sac"],
+            "contrast: cannot be combined with baseline=sac",
+        ),
+        (
+            ["experiment=one", "report=quik"],
+            r"report=quik: there is no such option; did you mean 'quick'\?",
+        ),
         (["experiment=one", "tracking.uri=sqlite:///nowhere.db"], "there is no store .*nowhere.db"),
     ],
-)  # fmt: skip
+)
 def test_a_mistake_is_a_sentence_and_nothing_is_written(unchanged, arguments, words):
     files = sorted(unchanged.iterdir())
     done = report(unchanged, *arguments, code=2)

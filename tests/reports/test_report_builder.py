@@ -156,9 +156,13 @@ def test_cells_that_do_not_differ_significantly_are_not_ranked():
 
 def test_mixed_conditions_are_warned_of():
     conditions = {
-        "total_timesteps": 800, "evaluation.final_n_scenes": 8, "evaluation.first_scene": 100, "evaluation.n_scenes": 4,
-        "evaluation.every_n_steps": 200, "env.vehicles_count": 10,
-    }  # fmt: skip
+        "total_timesteps": 800,
+        "evaluation.final_n_scenes": 8,
+        "evaluation.first_scene": 100,
+        "evaluation.n_scenes": 4,
+        "evaluation.every_n_steps": 200,
+        "env.vehicles_count": 10,
+    }
     columns = {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40}
     configs = {"plain": {}, **{key: {key: value} for key, value in conditions.items()}}
     report = content(configs, range(2), by_seed(Run(), Run(columns=columns)))
@@ -189,8 +193,11 @@ def test_a_cell_that_is_not_trained_mixes_no_budgets():
 
 def test_other_rewards_and_simulators_are_no_mixed_tasks():
     other_reward = {
-        "env.name": "parking_sparse", "env.reward": "sparse", "env.collision_reward": -20.0, "env.simulator": "highway_env"
-    }  # fmt: skip
+        "env.name": "parking_sparse",
+        "env.reward": "sparse",
+        "env.collision_reward": -20.0,
+        "env.simulator": "highway_env",
+    }
     assert not any("Mixed" in line for line in content({"a": {}, "b": other_reward}).warnings)
 
 
@@ -363,11 +370,17 @@ def test_an_unknown_factor_or_level_of_a_contrast_is_a_sentence(contrast, messag
 @pytest.mark.parametrize(
     ("n_evaluations", "sentences"),
     [
-        (1, ["There are no learning curves and times to 90 %: no run was evaluated more than once. "]),
+        (
+            1,
+            [
+                "There are no learning curves and times to 90 %: "
+                "no run was evaluated more than once. "
+            ],
+        ),
         (2, ["There are no times to 90 %: no run was evaluated more than twice. "]),
         (3, []),
     ],
-)  # fmt: skip
+)
 def test_a_report_says_why_it_has_no_curves(n_evaluations, sentences):
     report = content(ALGORITHMS, look=lambda *_: Run(curve=[0.8] * n_evaluations))
     (curves,) = (part for part in section_contents(report) if part.id == "curves")

@@ -17,9 +17,14 @@ from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.trials import TrialRow
 
 CELLS = {
-    f"{buffer}{n}": [f"buffer=her_{buffer}", f"buffer.n_sampled_goal={n}", "evaluation.final_n_scenes=40"]
-    for buffer in ("future", "final") for n in (1, 4)
-}  # fmt: skip
+    f"{buffer}{n}": [
+        f"buffer=her_{buffer}",
+        f"buffer.n_sampled_goal={n}",
+        "evaluation.final_n_scenes=40",
+    ]
+    for buffer in ("future", "final")
+    for n in (1, 4)
+}
 
 
 def look(label, seed):

@@ -60,8 +60,8 @@ def test_outcomes_that_are_missing_of_some_runs_are_named():
 @pytest.mark.parametrize("curve", [(), (0.2, np.nan, 0.6, 0.8)])
 def test_curves_that_are_missing_or_have_gaps_are_named(curve):
     expected = (
-        f"{LABEL}: evaluations during training are missing of seed 0. AUC and times are of other seeds "
-        "than the rates."
+        f"{LABEL}: evaluations during training are missing of seed 0. "
+        "AUC and times are of other seeds than the rates."
     )
     if curve:
         assert warnings_of(of_seeds(Run(curve=curve), Run(), Run())) == [expected]

@@ -184,9 +184,14 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
     assert "3 trials (sampler tpe, pruner none): 2 done, 1 pruned." in text
     assert "learning_rate=0.002, replay” with 85.0 %" in text
     columns = ("state", "success_auc", "buffer.n_sampled_goal")
-    assert [tuple(row[name] for name in columns) for row in written(whole, tmp_path / "tables")["trials"]] == [
-        ("done", "0.45", "4"), ("done", "0.85", ""), ("pruned", "", "4"),
-    ]  # fmt: skip
+    assert [
+        tuple(row[name] for name in columns)
+        for row in written(whole, tmp_path / "tables")["trials"]
+    ] == [
+        ("done", "0.45", "4"),
+        ("done", "0.85", ""),
+        ("pruned", "", "4"),
+    ]
 
 
 def test_without_a_search_there_is_nothing_of_it(tmp_path):

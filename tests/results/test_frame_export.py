@@ -35,9 +35,23 @@ LOOKS = {
     ("none", 1): Look(status="running"),
 }
 SETTINGS = {
-    "four": {"list": [1, 2], "mixed": "word", "whole": 3, "flag": True, "text": HOSTILE, "path": "/home/me/own"},
-    "none": {"list": [1, 2], "mixed": 0.5, "null": None, "number": 0.1234567891, "huge": int("9" * 30), "empty": ""},
-}  # fmt: skip
+    "four": {
+        "list": [1, 2],
+        "mixed": "word",
+        "whole": 3,
+        "flag": True,
+        "text": HOSTILE,
+        "path": "/home/me/own",
+    },
+    "none": {
+        "list": [1, 2],
+        "mixed": 0.5,
+        "null": None,
+        "number": 0.1234567891,
+        "huge": int("9" * 30),
+        "empty": "",
+    },
+}
 
 
 @pytest.fixture(scope="module")
@@ -187,11 +201,15 @@ def test_an_export_does_not_write_through_links(stored, written, tmp_path):
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
-        ("report.json", '"problems"', '"problem"'), ("report.json", "{", "["), ("runs.csv.gz", "run_id,", "run,"),
-        ("runs.csv.gz", ",200,", ",200.5,"), ("runs.csv.gz", "2023-11-14 ", "2023-99-14 "),
-        ("curves.csv.gz", ",0.333333", ",a"), ("outcomes.csv.gz", "scene", "scenes"),
+        ("report.json", '"problems"', '"problem"'),
+        ("report.json", "{", "["),
+        ("runs.csv.gz", "run_id,", "run,"),
+        ("runs.csv.gz", ",200,", ",200.5,"),
+        ("runs.csv.gz", "2023-11-14 ", "2023-99-14 "),
+        ("curves.csv.gz", ",0.333333", ",a"),
+        ("outcomes.csv.gz", "scene", "scenes"),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_export_is_refused_in_one_sentence(written, name, old, new):
     edit(written / name, old, new)
     with pytest.raises(ResultsError, match="can't be read") as error:

@@ -28,13 +28,22 @@ from parking_exp.tasks.parking.parking_metrics import METRICS
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 LOOKS = {
-    ("four", 0): Look(success=0.8, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), steps=12, cpu_s=90.0),
+    ("four", 0): Look(
+        success=0.8, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), steps=12, cpu_s=90.0
+    ),
     ("four", 1): Look(success=0.4, crash=0.2, parked=0.0, curve=(0.0, 0.0, 2 / 3, 1.0)),
-    ("four", 2): Look(status="failed", error="ValueError: <b>\n  no", progress=0.5, curve=(0, 0.5, 1, 1)),
-    ("none", 0): Look(success=1.0, crash=0.0, started_ms=STARTED_MS + 5000, tags={"cpu": "Zürich <script>alert(1)</script>"}),
+    ("four", 2): Look(
+        status="failed", error="ValueError: <b>\n  no", progress=0.5, curve=(0, 0.5, 1, 1)
+    ),
+    ("none", 0): Look(
+        success=1.0,
+        crash=0.0,
+        started_ms=STARTED_MS + 5000,
+        tags={"cpu": "Zürich <script>alert(1)</script>"},
+    ),
     ("none", 1): Look(status="running", progress=0.5),
     ("none", 2): Look(status="interrupted", progress=0.0),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -57,14 +66,33 @@ def test_a_finished_run_has_the_numbers_of_its_final_evaluation(ablation):
     run = row(load("her", output_dir=output_dir).runs, directory)
     config = directory.config()
     expected = {
-        "run_id": directory.run_id, "name": f"{config.cell_name}-seed=0", "experiment": "her", "cell": config.cell_name, "seed": 0,
-        "run_key": config.run_key, "status": "done", "total_timesteps": 400, "n_scenes": 5, "first_scene": 0,
-        "eval_n_scenes": 3, "steps": 400, "success_rate": 0.8, "crash_rate": 0.2, "timeout_rate": 0.0, "parked_rate": 0.4,
-        "episode_steps": table["steps"].mean(), "episode_return": table["return"].mean(),
-        "distance_m": table["distance_m"].mean(), "heading_error_rad": table["heading_error_rad"].mean(),
-        "speed_mps": table["speed_mps"].mean(), "cpu_s": 90.0, "wall_s": 600.0,
-        "started": pd.Timestamp(STARTED_MS, unit="ms", tz="UTC"), "run_dir": str(directory.path), "config.seed": 0,
-    }  # fmt: skip
+        "run_id": directory.run_id,
+        "name": f"{config.cell_name}-seed=0",
+        "experiment": "her",
+        "cell": config.cell_name,
+        "seed": 0,
+        "run_key": config.run_key,
+        "status": "done",
+        "total_timesteps": 400,
+        "n_scenes": 5,
+        "first_scene": 0,
+        "eval_n_scenes": 3,
+        "steps": 400,
+        "success_rate": 0.8,
+        "crash_rate": 0.2,
+        "timeout_rate": 0.0,
+        "parked_rate": 0.4,
+        "episode_steps": table["steps"].mean(),
+        "episode_return": table["return"].mean(),
+        "distance_m": table["distance_m"].mean(),
+        "heading_error_rad": table["heading_error_rad"].mean(),
+        "speed_mps": table["speed_mps"].mean(),
+        "cpu_s": 90.0,
+        "wall_s": 600.0,
+        "started": pd.Timestamp(STARTED_MS, unit="ms", tz="UTC"),
+        "run_dir": str(directory.path),
+        "config.seed": 0,
+    }
     assert {name: run[name] for name in expected} == expected
     assert pd.isna(run["error"])
     assert run["artifact_uri"].endswith(f"/mlflow-artifacts/her/{directory.run_id}/artifacts")
@@ -83,14 +111,22 @@ def test_frames_have_the_columns_and_types_of_the_schema(ablation):
     )
     types = {name: str(dtype) for name, dtype in results.runs.dtypes.items()}
     expected = {
-        "seed": "int64", "status": "category", "git_dirty": "boolean", "n_scenes": "Int64", "success_rate": "float64",
-        "started": "datetime64[ms, UTC]", "ended": "datetime64[ms, UTC]", "error": "str", "version.torch": "str",
-    }  # fmt: skip
+        "seed": "int64",
+        "status": "category",
+        "git_dirty": "boolean",
+        "n_scenes": "Int64",
+        "success_rate": "float64",
+        "started": "datetime64[ms, UTC]",
+        "ended": "datetime64[ms, UTC]",
+        "error": "str",
+        "version.torch": "str",
+    }
     assert {name: types[name] for name in expected} == expected
     assert [*results.curves.columns] == [*CURVE_TYPES]
     assert [str(dtype) for dtype in results.curves.dtypes] == ["str", "int64"] + 9 * ["float64"]
-    assert [str(results.episodes[name].dtype) for name in ("phase", "parked", "steps", "return")] == [
-        "category", "bool", "int64", "float64"]  # fmt: skip
+    assert [
+        str(results.episodes[name].dtype) for name in ("phase", "parked", "steps", "return")
+    ] == ["category", "bool", "int64", "float64"]
     for name in (*frames.RUN_TYPES, *CURVE_TYPES, *EPISODES):
         assert re.search(rf"\b{name}\b", parking_exp.results.__doc__), name
 

@@ -16,8 +16,8 @@ from parking_exp.sweeps.single_run import train
 
 OWN = (*QUICK, "algorithm._target_=support.user_algorithms.SavesExtraNetwork")
 REFUSAL = (
-    r"^algorithm\._target_=support\.user_algorithms\.SavesExtraNetwork in .* is not on the allow-list, and the run "
-    r"was not trained here; {option} allows it, if you trust its author$"
+    r"^algorithm\._target_=support\.user_algorithms\.SavesExtraNetwork in .* is not on the "
+    r"allow-list, and the run was not trained here; {option} allows it, if you trust its author$"
 )
 
 

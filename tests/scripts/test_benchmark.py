@@ -33,11 +33,19 @@ def test_chosen_figures_are_measured_printed_and_added_to_the_file(tmp_path):
         "sweep.resume",
     )
     assert sorted(figures) == [
-        "decision.agent.ms", "decision.planner.ms",
-        "her.bytes_per_transition", "her.sample.capacity_ratio", "her.sample.ratio",
-        "run.tutorial.ratio", "simulator.crowded.8_seen.n512.ratio", "simulator.crowded.n512.ratio", "simulator.n8.ratio",
-        "sweep.overhead_s_per_run", "sweep.resume_scan_s.1000_runs", "update.ddpg.2x64.ratio",
-    ]  # fmt: skip
+        "decision.agent.ms",
+        "decision.planner.ms",
+        "her.bytes_per_transition",
+        "her.sample.capacity_ratio",
+        "her.sample.ratio",
+        "run.tutorial.ratio",
+        "simulator.crowded.8_seen.n512.ratio",
+        "simulator.crowded.n512.ratio",
+        "simulator.n8.ratio",
+        "sweep.overhead_s_per_run",
+        "sweep.resume_scan_s.1000_runs",
+        "update.ddpg.2x64.ratio",
+    ]
     assert figures["simulator.n8.ratio"] == first["simulator.n8.ratio"]
     for key, entry in figures.items():
         value = entry["value"]

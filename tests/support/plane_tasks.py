@@ -47,7 +47,7 @@ class Plane(gym.Env):
         return np.zeros((64, 64, 3), np.uint8)
 
 
-class Reach(Plane):
+class ReachPlane(Plane):
     """The reward is 0 near the goal and -1 elsewhere."""
 
     def step(self, action):
@@ -61,24 +61,24 @@ class Reach(Plane):
         return -(np.linalg.norm(achieved_goal - desired_goal, axis=-1) > 0.3).astype(float)
 
 
-class LateRenderError(Reach):
+class LateRenderError(ReachPlane):
     def render(self):
         if self.steps >= 5:
             raise RuntimeError("GL context lost")
         return super().render()
 
 
-class ChangingFrames(Reach):
+class ChangingFrames(ReachPlane):
     def render(self):
         return np.zeros((64 + self.steps, 64, 3), np.uint8)
 
 
-class RenderExit(Reach):
+class RenderExit(ReachPlane):
     def render(self):
         sys.exit(3)
 
 
-class InfoArray(Reach):
+class InfoArray(ReachPlane):
     """`compute_reward` takes one info or an array of them, no list."""
 
     def step(self, action):
@@ -96,7 +96,7 @@ class InfoArray(Reach):
         return reward - 5.0 * info.get("at_wall", False)
 
 
-class ColumnReward(Reach):
+class ColumnReward(ReachPlane):
     """For many goals `compute_reward` returns a column."""
 
     def compute_reward(self, achieved_goal, desired_goal, info):
@@ -104,7 +104,7 @@ class ColumnReward(Reach):
         return reward[:, np.newaxis] if reward.ndim else reward
 
 
-class NotFinite(Reach):
+class NotFinite(ReachPlane):
     """A part of its steps is not finite from step 150 of an instance on."""
 
     def __init__(self, render_mode=None, part="observation"):
@@ -120,7 +120,7 @@ class NotFinite(Reach):
         return observation, reward, *rest
 
 
-class LastNotFinite(Reach):
+class LastNotFinite(ReachPlane):
     """Only the last observation of an episode is not finite."""
 
     def step(self, action):
@@ -130,7 +130,7 @@ class LastNotFinite(Reach):
         return observation, *rest
 
 
-class Signed(Reach):
+class Signed(ReachPlane):
     """Its observation has a further entry called `goal`: the sign of its actions."""
 
     def __init__(self, render_mode=None):
@@ -151,7 +151,7 @@ class Signed(Reach):
         return super().step(np.asarray(action) * self.sign)
 
 
-class OwnPosition(Reach):
+class OwnPosition(ReachPlane):
     """`compute_reward` ignores the achieved goal that it is given."""
 
     def compute_reward(self, achieved_goal, desired_goal, info):
@@ -159,14 +159,14 @@ class OwnPosition(Reach):
         return -(distance > 0.3).astype(float)
 
 
-class AlwaysThere(Reach):
+class AlwaysThere(ReachPlane):
     """Random steps never leave the goal, which is large."""
 
     def compute_reward(self, achieved_goal, desired_goal, info):
         return -(np.linalg.norm(achieved_goal - desired_goal, axis=-1) > 10).astype(float)
 
 
-class NeverThere(Reach):
+class NeverThere(ReachPlane):
     """Random steps never reach the goal, which is small."""
 
     def compute_reward(self, achieved_goal, desired_goal, info):
@@ -174,17 +174,18 @@ class NeverThere(Reach):
 
 
 CASES = (
-    *(
-        Reach,
-        LateRenderError,
-        ChangingFrames,
-        RenderExit,
-        InfoArray,
-        ColumnReward,
-        NotFinite,
-        LastNotFinite,
-    ),
-    *(Signed, OwnPosition, AlwaysThere, NeverThere),
+    ReachPlane,
+    LateRenderError,
+    ChangingFrames,
+    RenderExit,
+    InfoArray,
+    ColumnReward,
+    NotFinite,
+    LastNotFinite,
+    Signed,
+    OwnPosition,
+    AlwaysThere,
+    NeverThere,
 )
 for case in CASES:
     gym.register(f"{case.__name__}-v0", case, max_episode_steps=EPISODE)

@@ -96,9 +96,16 @@ def hostile():
         left_out=list(HOSTILE),
     )
     return replace(
-        made, title=bad, experiments=[bad], command=f"python scripts/report.py experiment='{bad}'", provenance=provenance,
-        claims=[f"{HOSTILE[0]} beats {HOSTILE[3]}."], warnings=list(HOSTILE), missing=[HOSTILE[2]], family=HOSTILE[1],
-    )  # fmt: skip
+        made,
+        title=bad,
+        experiments=[bad],
+        command=f"python scripts/report.py experiment='{bad}'",
+        provenance=provenance,
+        claims=[f"{HOSTILE[0]} beats {HOSTILE[3]}."],
+        warnings=list(HOSTILE),
+        missing=[HOSTILE[2]],
+        family=HOSTILE[1],
+    )
 
 
 def _report(cells, n_seeds, means, look=lambda label, run: run):

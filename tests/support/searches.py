@@ -17,9 +17,13 @@ SETTINGS = {
     "n_retest": 1,
 }
 QUICK = (
-    "search=smoke", "total_timesteps=60", "evaluation.final_n_scenes=3", "evaluation.every_n_steps=20",
-    "tracking.tensorboard=false", "search.n_retest=0",
-)  # fmt: skip
+    "search=smoke",
+    "total_timesteps=60",
+    "evaluation.final_n_scenes=3",
+    "evaluation.every_n_steps=20",
+    "tracking.tensorboard=false",
+    "search.n_retest=0",
+)
 
 
 def settings(**changes):

@@ -9,9 +9,14 @@ from parking_exp.runs.atomic_files import read_json
 from support.runs import ROOT, run_script, script
 
 QUICK = (
-    "experiment=smoke", "total_timesteps=60", "evaluation.final_n_scenes=3", "evaluation.every_n_steps=null",
-    "evaluation.video_episodes=0", "tracking.mlflow=false", "tracking.tensorboard=false",
-)  # fmt: skip
+    "experiment=smoke",
+    "total_timesteps=60",
+    "evaluation.final_n_scenes=3",
+    "evaluation.every_n_steps=null",
+    "evaluation.video_episodes=0",
+    "tracking.mlflow=false",
+    "tracking.tensorboard=false",
+)
 SLOW = (
     "algorithm._target_=support.user_algorithms.Lingers",
     "total_timesteps=200",

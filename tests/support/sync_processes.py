@@ -21,9 +21,19 @@ from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import sync_run
 
 KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
-WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/sync.py", "parking_exp/tracking/write_run.py", "parking_exp/tracking/embedded_store.py", "parking_exp/tracking/stored_run.py", "parking_exp/runs/atomic_files.py",
-           "parking_exp/runs/directory.py", "mlflow/tracking/client.py", "mlflow/store/tracking/sqlalchemy_store.py",
-           "mlflow/store/artifact/local_artifact_repo.py")  # fmt: skip
+WATCHED = (
+    "parking_exp/tracking/client.py",
+    "parking_exp/tracking/store.py",
+    "parking_exp/tracking/sync.py",
+    "parking_exp/tracking/write_run.py",
+    "parking_exp/tracking/embedded_store.py",
+    "parking_exp/tracking/stored_run.py",
+    "parking_exp/runs/atomic_files.py",
+    "parking_exp/runs/directory.py",
+    "mlflow/tracking/client.py",
+    "mlflow/store/tracking/sqlalchemy_store.py",
+    "mlflow/store/artifact/local_artifact_repo.py",
+)
 
 
 def sync(directory):
@@ -64,7 +74,7 @@ def forked(task, *arguments):
     return pid
 
 
-def statuses(pids):
+def exit_codes(pids):
     return [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in pids]
 
 
@@ -103,12 +113,13 @@ if __name__ == "__main__":
     import mlflow.store.tracking.sqlalchemy_store  # noqa: F401 - once, before it is forked
 
     if command == "at-once":
-        sys.exit(any(statuses([forked(train, directory, 180, 2) for directory in directories])))
+        sys.exit(any(exit_codes([forked(train, directory, 180, 2) for directory in directories])))
     if command == "kill":
         first, *others = directories
         calls = killed_sync(first, 0)
         moments = [1 + number * calls // len(others) for number in range(len(others))]
         endings = [
-            statuses([forked(killed_sync, *pair)])[0] for pair in zip(others, moments, strict=True)
+            exit_codes([forked(killed_sync, *pair)])[0]
+            for pair in zip(others, moments, strict=True)
         ]
         print(calls, *endings)

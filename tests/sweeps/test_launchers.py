@@ -75,11 +75,16 @@ def launcher(request):
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", LAUNCHERS, indirect=True, ids=":".join)
 def test_every_run_is_trained_failures_are_reported_and_nothing_is_done_twice(tmp_path, launcher):
-    targets = "algorithm._target_=parking_exp.algorithms.SAC,support.user_algorithms.Raises,support.user_algorithms.IsKilled"
+    targets = (
+        "algorithm._target_=parking_exp.algorithms.SAC,"
+        "support.user_algorithms.Raises,support.user_algorithms.IsKilled"
+    )
     sweep(tmp_path, targets, *launcher, code=2, timeout=300)
     assert errors_by_label(tmp_path) == {
-        "SAC": None, "Raises": "RuntimeError: a bad <day> [bold]", "IsKilled": "killed by SIGKILL (out of memory?)"
-    }  # fmt: skip
+        "SAC": None,
+        "Raises": "RuntimeError: a bad <day> [bold]",
+        "IsKilled": "killed by SIGKILL (out of memory?)",
+    }
     again = sweep(tmp_path, targets, *launcher, "dry_run=true")
     assert (
         "3 runs: 1 done, 1 failed before (retry=failed runs them again), 1 to run" in again.stdout

@@ -17,8 +17,10 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
     done = call_script("train", *arguments, "dry_run=true", cwd=tmp_path, code=0)
     lines = [line.split() for line in done.stdout.splitlines()]
     assert lines[:3] == [
-        ["cell", "done", "running", "failed", "pending", "success"], ["her_future", "3"], ["her_final", "3"]
-    ]  # fmt: skip
+        ["cell", "done", "running", "failed", "pending", "success"],
+        ["her_future", "3"],
+        ["her_final", "3"],
+    ]
     assert "2 cells x 3 seeds = 6 runs: 0 done, 6 to run\n" in done.stdout
     assert list(tmp_path.iterdir()) == []
 

@@ -109,7 +109,11 @@ def test_a_script_without_a_main_guard_runs_once(tmp_path):
     arguments = ["train", *QUICK, "seeds=2", f"output_dir={tmp_path / 'outputs'}"]
     program = tmp_path / "mine.py"
     program.write_text(
-        f"import sys\nprint('once')\nsys.argv = {arguments}\nfrom parking_exp.cli.train import main\nmain()\n"
+        "import sys\n"
+        "print('once')\n"
+        f"sys.argv = {arguments}\n"
+        "from parking_exp.cli.train import main\n"
+        "main()\n"
     )
     done = subprocess.run(
         [sys.executable, program], check=False, capture_output=True, text=True, timeout=120

@@ -109,18 +109,42 @@ def test_the_state_of_training_envs_is_saved_and_continued_identically():
 @pytest.mark.parametrize(
     ("name", "argument", "reason"),
     [
-        ("support.user_tasks.Nothing", "name=steps", "AttributeError: .* has no attribute 'Nothing'"),
-        ("no_such_package.Task", "name=steps", "ModuleNotFoundError: No module named 'no_such_package'"),
-        ("support.user_tasks.Unknown", "name=steps", r"it is not a subclass of parking_exp\.tasks\.task\.Task"),
+        (
+            "support.user_tasks.Nothing",
+            "name=steps",
+            "AttributeError: .* has no attribute 'Nothing'",
+        ),
+        (
+            "no_such_package.Task",
+            "name=steps",
+            "ModuleNotFoundError: No module named 'no_such_package'",
+        ),
+        (
+            "support.user_tasks.Unknown",
+            "name=steps",
+            r"it is not a subclass of parking_exp\.tasks\.task\.Task",
+        ),
         ("os.system", "name=steps", r"it is not a subclass of parking_exp\.tasks\.task\.Task"),
-        ("support.user_tasks.Unfinished", "name=steps", "TypeError: Can't instantiate abstract class .*observe"),
-        ("support.user_tasks.OwnEnvs", "name=steps", "TypeError: Can't instantiate .*evaluation_batch"),
+        (
+            "support.user_tasks.Unfinished",
+            "name=steps",
+            "TypeError: Can't instantiate abstract class .*observe",
+        ),
+        (
+            "support.user_tasks.OwnEnvs",
+            "name=steps",
+            "TypeError: Can't instantiate .*evaluation_batch",
+        ),
         ("support.user_tasks.Steps", "kwargs.right_edge=2", "TypeError: .*'right_edge'"),
         ("support.user_tasks.Steps", "kwargs.left_edge=a", "UFuncNoLoopError|TypeError"),
-        ("support.user_tasks.FlatReward", "name=steps", r"reward of two episodes has the shape \(\), not \(2,\)"),
+        (
+            "support.user_tasks.FlatReward",
+            "name=steps",
+            r"reward of two episodes has the shape \(\), not \(2,\)",
+        ),
         ("support.user_tasks.NoGoal", "name=steps", "KeyError: 'achieved_goal'"),
     ],
-)  # fmt: skip
+)
 def test_a_class_that_is_no_task_is_refused_in_a_sentence(name, argument, reason, config_dir):
     overrides = ("env=steps", f"env.task={name}", f"++env.{argument}")
     with pytest.raises(ConfigError, match=rf"^env\.task[=:].*({reason})") as refusal:

@@ -273,10 +273,18 @@ def test_evaluate_takes_every_env(option):
 @pytest.mark.slow
 def test_ctrl_c_reaches_the_processes_of_envs_too_and_the_run_resumes(tmp_path):
     arguments = [
-        "env=fetch_reach", "n_envs=2", "env.vectorization=async", "algorithm.learning_starts=100",
-        "total_timesteps=2000", "evaluation.every_n_steps=null", "evaluation.n_scenes=5", "evaluation.final_n_scenes=5",
-        "evaluation.video_episodes=0", "tracking.mlflow=false", f"output_dir={tmp_path}",
-    ]  # fmt: skip
+        "env=fetch_reach",
+        "n_envs=2",
+        "env.vectorization=async",
+        "algorithm.learning_starts=100",
+        "total_timesteps=2000",
+        "evaluation.every_n_steps=null",
+        "evaluation.n_scenes=5",
+        "evaluation.final_n_scenes=5",
+        "evaluation.video_episodes=0",
+        "tracking.mlflow=false",
+        f"output_dir={tmp_path}",
+    ]
     command, keywords = script("train", *arguments)
     process = subprocess.Popen(
         command,

@@ -1,4 +1,4 @@
-"""Tests of parametric lots: their geometry, their scenes, and that highway-env simulates the same."""
+"""Tests of parametric lots: geometry, scenes, and that highway-env simulates the same."""
 
 import gymnasium as gym
 import numpy as np

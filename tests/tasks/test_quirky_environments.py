@@ -92,6 +92,8 @@ def test_a_run_of_one_env_makes_few_instances_and_closes_them(tmp_path):
 
 
 def test_an_env_of_a_notebook_trains_in_processes_of_its_own(tmp_path):
+    own = ("env.id=Mine-v0", "env.vectorization=async", f"output_dir={tmp_path}")
+    overrides = [*SHORT, *own]
     program = (
         "import gymnasium as gym\n"
         "from support.toy_tasks import BitFlip\n"
@@ -99,7 +101,7 @@ def test_an_env_of_a_notebook_trains_in_processes_of_its_own(tmp_path):
         "    pass\n"
         "gym.register('Mine-v0', Mine, max_episode_steps=8)\n"
         "from parking_exp import compose, train\n"
-        f"train(compose(*{[*SHORT, 'env.id=Mine-v0', 'env.vectorization=async']!r}, 'output_dir={tmp_path}'))\n"
+        f"train(compose(*{overrides!r}))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program],

@@ -22,7 +22,12 @@ from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
 
 SEEDS = range(100, 124)
-CROWDED = ("env=parking_crowded", "env.obstacles=2", "env.duration=5", "env.success_goal_reward=0.27")  # fmt: skip
+CROWDED = (
+    "env=parking_crowded",
+    "env.obstacles=2",
+    "env.duration=5",
+    "env.success_goal_reward=0.27",
+)
 UNITS = {
     "x": 0.01,
     "y": 0.01,
@@ -35,7 +40,10 @@ HOSTILE = "</script><script>window.pwned = 1</script><img src=x onerror='window.
 
 
 def wander(observation):
-    """Drive somewhere: some scenes crash, some succeed, some time out. Rows do not affect each other."""
+    """Drive somewhere: some scenes crash, some succeed, some time out.
+
+    Rows do not affect each other.
+    """
     x, y, _, _, _, sin = observation["achieved_goal"].T
     throttle = 0.3 + 0.5 * np.cos(70 * x + 30 * y)
     return np.stack([throttle, np.sin(50 * y + 3 * sin)], axis=1)

@@ -25,18 +25,35 @@ from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 # Every scalar option of the env group that the physics, the observation or the reward depends on.
 VARIANTS = {
     "many parked cars, pushed about": [
-        "env=parking_action_repeat", "env.vehicles_count=26", "env.action.acceleration_range=[-12,12]",
+        "env=parking_action_repeat",
+        "env.vehicles_count=26",
+        "env.action.acceleration_range=[-12,12]",
     ],
     "no walls": ["env.add_walls=false", "env.duration=10"],
     "speed limits": ["env.action.speed_range=[-2,3]", "env.duration=10"],
-    "a lowest speed, no clipping": ["env.action.speed_range=[1,6]", "env.action.clip=false", "env.duration=10"],
-    "other ranges": ["env.action.acceleration_range=[-3,6]", "env.action.steering_range=[-0.3,1]", "env.duration=10"],
-    "other reward": [
-        "env.reward_weights=[1,1,0,0.1,0,0]", "env.success_goal_reward=0.3", "env.collision_reward=-1", "env.duration=10",
+    "a lowest speed, no clipping": [
+        "env.action.speed_range=[1,6]",
+        "env.action.clip=false",
+        "env.duration=10",
     ],
-    "other frequencies": ["env.simulation_frequency=20", "env.policy_frequency=3", "env.duration=10"],
+    "other ranges": [
+        "env.action.acceleration_range=[-3,6]",
+        "env.action.steering_range=[-0.3,1]",
+        "env.duration=10",
+    ],
+    "other reward": [
+        "env.reward_weights=[1,1,0,0.1,0,0]",
+        "env.success_goal_reward=0.3",
+        "env.collision_reward=-1",
+        "env.duration=10",
+    ],
+    "other frequencies": [
+        "env.simulation_frequency=20",
+        "env.policy_frequency=3",
+        "env.duration=10",
+    ],
     "no effect": ["env.show_trajectories=true", "env.steering_range=0.1", "env.duration=4"],
-}  # fmt: skip
+}
 
 
 def env_config(*overrides) -> ParkingConfig:

@@ -21,19 +21,15 @@ from parking_exp.training.seeds import derive_seeds
 
 PLANE = "support.plane_tasks:"
 SHORT = (
-    *(
-        "env=gymnasium",
-        "total_timesteps=300",
-        "n_envs=1",
-        "algorithm.learning_starts=100",
-        "algorithm.net_arch=[8]",
-    ),
-    *(
-        "algorithm.batch_size=16",
-        "evaluation.n_scenes=5",
-        "evaluation.final_n_scenes=5",
-        "tracking.mlflow=false",
-    ),
+    "env=gymnasium",
+    "total_timesteps=300",
+    "n_envs=1",
+    "algorithm.learning_starts=100",
+    "algorithm.net_arch=[8]",
+    "algorithm.batch_size=16",
+    "evaluation.n_scenes=5",
+    "evaluation.final_n_scenes=5",
+    "tracking.mlflow=false",
 )
 
 
@@ -88,7 +84,7 @@ def test_rewards_of_any_shape_that_stable_baselines3_takes_train(name):
         ("NotFinite", ["+env.kwargs.part=achieved_goal"], 150, "achieved_goal"),
         ("NotFinite", ["+env.kwargs.part=reward"], 150, "reward"),
         ("LastNotFinite", [], 160, "observation"),
-        ("Reach", ["algorithm.learning_rate=1e25"], 104, "train/critic_loss"),
+        ("ReachPlane", ["algorithm.learning_rate=1e25"], 104, "train/critic_loss"),
     ],
 )
 def test_what_is_not_finite_fails_the_run_and_the_step_is_named(name, overrides, step, what):
@@ -126,7 +122,7 @@ def test_infos_are_an_array_only_where_compute_reward_takes_no_list():
     at_wall = [[name == "at_wall" and value for name in reward.info_keys] for value in (0.0, 1.0)]
     assert reward(goals, goals, np.array(at_wall))[0].tolist() == [0.0, -5.0]
     away = np.array([[0.0, 0.0], [1.0, 0.0]])
-    assert GymnasiumReward(config("Reach").env)(goals, away)[0].tolist() == [0.0, -1.0]
+    assert GymnasiumReward(config("ReachPlane").env)(goals, away)[0].tolist() == [0.0, -1.0]
 
 
 def test_seeds_of_parking_stay_what_they_were_since_published_policies_depend_on_them():
@@ -169,7 +165,7 @@ def test_a_policy_that_needs_a_further_entry_is_learned():
 
 
 def test_evaluate_refuses_seeds_of_training_of_the_task(tmp_path):
-    directory = trained("Reach", tmp_path, "evaluation.video_episodes=0")
+    directory = trained("ReachPlane", tmp_path, "evaluation.video_episodes=0")
     arguments = [f"run={directory.path}", f"output_dir={tmp_path}", "trust=true", "episodes=2"]
     environment = {"PYTHONPATH": str(ROOT / "tests")}
     done = run_script("evaluate", *arguments, "first_scene=1073741823", env=environment)

@@ -74,7 +74,10 @@ def test_a_run_that_a_new_store_lacks_is_named(output_dir, capsys):
     (damaged.path / "episodes.csv").write_text("")
     sync(whole)
     assert stored(output_dir) == [1, 2]
-    problem = f"the new store lacks 1 run, e.g. {damaged.path}: episodes.csv changed after the run was finished"
+    problem = (
+        f"the new store lacks 1 run, e.g. {damaged.path}: "
+        "episodes.csv changed after the run was finished"
+    )
     assert problem in capsys.readouterr().err
 
 
@@ -154,8 +157,14 @@ def older_store(path):
     command.upgrade(config, scripts.get_revision("head").down_revision)
 
 
-FOREIGN_RUN = "INSERT INTO runs (run_uuid, experiment_id, lifecycle_stage, status, user_id, start_time) VALUES ('a', 0, 'active', 'RUNNING', 'x', 0)"
-DEFAULT = "INSERT INTO experiments (experiment_id, name, lifecycle_stage, workspace) VALUES (0, 'x', 'active', 'default')"
+FOREIGN_RUN = (
+    "INSERT INTO runs (run_uuid, experiment_id, lifecycle_stage, status, user_id, start_time) "
+    "VALUES ('a', 0, 'active', 'RUNNING', 'x', 0)"
+)
+DEFAULT = (
+    "INSERT INTO experiments (experiment_id, name, lifecycle_stage, workspace) "
+    "VALUES (0, 'x', 'active', 'default')"
+)
 
 
 def test_a_store_of_an_older_mlflow_is_used_with_all_that_it_has(output_dir):

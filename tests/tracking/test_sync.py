@@ -289,7 +289,10 @@ def test_a_failed_store_is_named_once_and_a_run_tries_it_again_only_at_its_end(f
 
 def test_a_store_that_fails_in_the_middle_is_completed(output_dir):
     directory = finished_run(output_dir)
-    change_store = "CREATE TRIGGER full BEFORE INSERT ON metrics BEGIN SELECT RAISE(ABORT, 'disk is full'); END"
+    change_store = (
+        "CREATE TRIGGER full BEFORE INSERT ON metrics "
+        "BEGIN SELECT RAISE(ABORT, 'disk is full'); END"
+    )
     for statement, problem in ((change_store, "disk is full"), ("DROP TRIGGER full", None)):
         rows(output_dir, statement)
         assert sync_all(output_dir) == [problem]

@@ -29,19 +29,34 @@ def test_the_default_recipe_parks(tmp_path):
 KINDS = {
     "sac": ("experiment=smoke",),
     "sac, normalised, FetchReach in two processes": (
-        "env=fetch_reach", "algorithm=sac", "n_envs=2", "env.vectorization=async", "total_timesteps=400",
-        "algorithm.learning_starts=100", "evaluation.every_n_steps=100", "evaluation.n_scenes=3",
+        "env=fetch_reach",
+        "algorithm=sac",
+        "n_envs=2",
+        "env.vectorization=async",
+        "total_timesteps=400",
+        "algorithm.learning_starts=100",
+        "evaluation.every_n_steps=100",
+        "evaluation.n_scenes=3",
         "evaluation.final_n_scenes=5",
     ),
     "sac, one highway_env by episodes, gSDE": (
-        "experiment=smoke", "env.simulator=highway_env", "n_envs=1", "algorithm.train_freq=[1,episode]", "updates_per_step=1",
+        "experiment=smoke",
+        "env.simulator=highway_env",
+        "n_envs=1",
+        "algorithm.train_freq=[1,episode]",
+        "updates_per_step=1",
         "algorithm.use_sde=true",
     ),
     "td3, EMA, Ornstein-Uhlenbeck noise, a full buffer": (
-        "experiment=smoke", "algorithm=td3", "algorithm.policy_ema_half_life=30", "buffer.buffer_size=200", "n_envs=4", "algorithm.learning_starts=48",
+        "experiment=smoke",
+        "algorithm=td3",
+        "algorithm.policy_ema_half_life=30",
+        "buffer.buffer_size=200",
+        "n_envs=4",
+        "algorithm.learning_starts=48",
         "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)

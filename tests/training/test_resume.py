@@ -24,40 +24,68 @@ from parking_exp.tasks.registry import make_task
 from parking_exp.training import checkpoints, rollout_state, run_session
 from parking_exp.training.loop import RolloutCallback, TrainingLoop
 
-SMOKE = ("experiment=smoke", "total_timesteps=160", "evaluation.every_n_steps=60", "checkpoint.every_n_steps=50",
-         "evaluation.n_scenes=1", "evaluation.final_n_scenes=2", "evaluation.video_episodes=0", "env.duration=2",
-         "tracking.mlflow=false", "tracking.progress_bar=false", "tracking.tensorboard=false")  # fmt: skip
+SMOKE = (
+    "experiment=smoke",
+    "total_timesteps=160",
+    "evaluation.every_n_steps=60",
+    "checkpoint.every_n_steps=50",
+    "evaluation.n_scenes=1",
+    "evaluation.final_n_scenes=2",
+    "evaluation.video_episodes=0",
+    "env.duration=2",
+    "tracking.mlflow=false",
+    "tracking.progress_bar=false",
+    "tracking.tensorboard=false",
+)
 OTHERS_BUFFER = ("~buffer.relabel_collision", "~buffer.relabel_terminated", "~buffer.goal_velocity")
 HIGHWAY = "env.simulator=highway_env"
 KINDS = {
     "sac": (),
     "sac with gSDE": (
-        "algorithm.use_sde=true", "algorithm.sde_sample_freq=4", "algorithm.train_freq=4", "tracking.log_interval=1",
+        "algorithm.use_sde=true",
+        "algorithm.sde_sample_freq=4",
+        "algorithm.train_freq=4",
+        "tracking.log_interval=1",
     ),
     "sac, by episodes, in one highway_env, replay": (
-        HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "updates_per_step=1", "buffer=replay",
+        HIGHWAY,
+        "n_envs=1",
+        "algorithm.train_freq=[1,episode]",
+        "updates_per_step=1",
+        "buffer=replay",
     ),
     "td3, EMA, random goals, a full buffer": (
-        "algorithm=td3", "algorithm.policy_ema_half_life=20", "buffer=her_random", "buffer.buffer_size=100",
+        "algorithm=td3",
+        "algorithm.policy_ema_half_life=20",
+        "buffer=her_random",
+        "buffer.buffer_size=100",
     ),
     "td3 with Ornstein-Uhlenbeck noise, in highway_envs": (
-        HIGHWAY, "algorithm=td3", "buffer=her_episode",
+        HIGHWAY,
+        "algorithm=td3",
+        "buffer=her_episode",
         "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
     ),
     "ddpg with Stable-Baselines3's HER": (
-        "algorithm=ddpg", "buffer._target_=stable_baselines3.HerReplayBuffer", *OTHERS_BUFFER,
+        "algorithm=ddpg",
+        "buffer._target_=stable_baselines3.HerReplayBuffer",
+        *OTHERS_BUFFER,
     ),
     "Stable-Baselines3's ddpg, one env, its replay": (
-        "algorithm=ddpg", "algorithm._target_=stable_baselines3.DDPG", "n_envs=1", *OTHERS_BUFFER,
+        "algorithm=ddpg",
+        "algorithm._target_=stable_baselines3.DDPG",
+        "n_envs=1",
+        *OTHERS_BUFFER,
         "buffer._target_=stable_baselines3.common.buffers.DictReplayBuffer",
-        "~buffer.n_sampled_goal", "~buffer.goal_selection_strategy",
+        "~buffer.n_sampled_goal",
+        "~buffer.goal_selection_strategy",
     ),
     "tqc": ("algorithm=tqc", "buffer=her_final"),
     "crossq": ("algorithm=crossq",),
     "sac with another activation and optimizer": (
         "+algorithm.policy_kwargs={activation_fn:torch.nn.Tanh,optimizer_class:{_target_:torch.optim.AdamW,_partial_:true}}",
     ),
-}  # fmt: skip
+}
 
 
 class InterruptionError(BaseException):
@@ -131,13 +159,27 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
     other = run(tmp_path, "seed=1")
     different = " ".join(differences(uninterrupted, other))
     for name in (
-        "episodes.csv", "paths.csv.gz", "metrics", "monitor.csv", "progress.csv", "best.zip/", "final.zip/", "model.zip/policy.pth/",
-        "model.zip/actor.optimizer.pth/", "model.zip/critic.optimizer.pth/", "model.zip/ent_coef_optimizer.pth/",
-        "model.zip/pytorch_variables.pth/log_ent_coef", "replay_buffer.npz/rows", "replay_buffer.npz/rng",
-        "state.pt/model/_last_obs/observation", "state.pt/rollout/envs/envs/simulator/position",
-        "state.pt/rollout/envs/monitor/episode_returns", "state.pt/rollout/rng/numpy/state/key",
-        "state.pt/rollout/rng/python/numbers", "state.pt/rollout/rng/torch",
-    ):  # fmt: skip
+        "episodes.csv",
+        "paths.csv.gz",
+        "metrics",
+        "monitor.csv",
+        "progress.csv",
+        "best.zip/",
+        "final.zip/",
+        "model.zip/policy.pth/",
+        "model.zip/actor.optimizer.pth/",
+        "model.zip/critic.optimizer.pth/",
+        "model.zip/ent_coef_optimizer.pth/",
+        "model.zip/pytorch_variables.pth/log_ent_coef",
+        "replay_buffer.npz/rows",
+        "replay_buffer.npz/rng",
+        "state.pt/model/_last_obs/observation",
+        "state.pt/rollout/envs/envs/simulator/position",
+        "state.pt/rollout/envs/monitor/episode_returns",
+        "state.pt/rollout/rng/numpy/state/key",
+        "state.pt/rollout/rng/python/numbers",
+        "state.pt/rollout/rng/torch",
+    ):
         assert name in different
 
 

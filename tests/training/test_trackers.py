@@ -13,7 +13,12 @@ from parking_exp.sweeps.single_run import train
 from parking_exp.training import loop
 
 WRITES = "support.user_trackers.WritesJson"
-SHORT = ("experiment=smoke", "total_timesteps=200", "tracking.mlflow=false", "evaluation.video_episodes=0")  # fmt: skip
+SHORT = (
+    "experiment=smoke",
+    "total_timesteps=200",
+    "tracking.mlflow=false",
+    "evaluation.video_episodes=0",
+)
 
 
 def config(tmp_path, tracker, *overrides):

@@ -111,9 +111,13 @@ def test_the_store_has_the_resolved_config_and_what_was_run(smoke):
     assert data.params["algorithm._target_"] == "parking_exp.algorithms.SAC"
     assert data.params["env.observation.scales"] == "[100.0, 100.0, 5.0, 5.0, 1.0, 1.0]"
     tags = {
-        "experiment": "smoke", "cell": config.cell_name, "seed": "0", "run_key": config.run_key, "status": "done",
+        "experiment": "smoke",
+        "cell": config.cell_name,
+        "seed": "0",
+        "run_key": config.run_key,
+        "status": "done",
         "version.parking-exp": __version__,
-    }  # fmt: skip
+    }
     assert {name: data.tags[name] for name in tags} == tags
     for package in ("python", "torch", "stable-baselines3", "highway-env", "gymnasium"):
         assert re.match(r"\d+\.\d+", data.tags[f"version.{package}"])
@@ -197,8 +201,13 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
         return reward - 1e-6, reached
 
     monkeypatch.setattr(ParkingReward, "__call__", other)
-    config = make_config("experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0", "n_envs=1",
-                         "total_timesteps=100")  # fmt: skip
+    config = make_config(
+        "experiment=smoke",
+        f"output_dir={output_dir}",
+        "evaluation.video_episodes=0",
+        "n_envs=1",
+        "total_timesteps=100",
+    )
     with pytest.raises(
         FailedRunError, match=r"5 of 5 cross-checked episodes differ .* scene 0: return -\d"
     ):
@@ -268,9 +277,12 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(
     output_dir, monkeypatch
 ):
     arguments = (
-        "experiment=smoke", f"output_dir={output_dir}", "checkpoint.every_n_steps=50", "evaluation.video_episodes=0",
+        "experiment=smoke",
+        f"output_dir={output_dir}",
+        "checkpoint.every_n_steps=50",
+        "evaluation.video_episodes=0",
         "algorithm._target_=support.user_algorithms.Lingers",  # slow enough to be killed on the way
-    )  # fmt: skip
+    )
     command, keywords = script("train", *arguments, env=FAILING)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
     wait_until(lambda: len(list(output_dir.glob("*/*/*/checkpoints/step=*"))) == 2)
@@ -350,10 +362,17 @@ def test_what_a_training_has_made_is_closed_if_it_fails_while_it_is_made(
 def test_a_full_disk_under_a_checkpoint_fails_the_run_without_a_traceback(tmp_path):
     """A limit of file sizes stands in for it: the replay buffer grows beyond it."""
     command, keywords = script(
-        "train", "experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false", "evaluation.video_episodes=0",
-        "evaluation.every_n_steps=null", "updates_per_step=0.1", "total_timesteps=4000",
-        "checkpoint.every_n_steps=400", "tracking.tensorboard=false",
-    )  # fmt: skip
+        "train",
+        "experiment=smoke",
+        f"output_dir={tmp_path}",
+        "tracking.mlflow=false",
+        "evaluation.video_episodes=0",
+        "evaluation.every_n_steps=null",
+        "updates_per_step=0.1",
+        "total_timesteps=4000",
+        "checkpoint.every_n_steps=400",
+        "tracking.tensorboard=false",
+    )
     limited = ["bash", "-c", 'ulimit -f 120; exec "$@"', "_", *command]
     failed = subprocess.run(limited, check=False, capture_output=True, timeout=180, **keywords)
     assert failed.returncode == 2

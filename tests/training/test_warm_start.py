@@ -163,8 +163,8 @@ def test_a_resumed_run_equals_an_uninterrupted_one_and_does_without_its_source(
 
 LAYER = (
     r"^error: init=.*seed=0: .*final\.zip does not fit: its layer actor\.latent_pi\.0\.weight "
-    "has 19 inputs and 16 units, and the model's has 20 inputs and 16 units; observations, actions and "
-    "networks have to be as large as in its training$"
+    "has 19 inputs and 16 units, and the model's has 20 inputs and 16 units; observations, actions "
+    "and networks have to be as large as in its training$"
 )
 MISFITS = {
     r"its algorithm.net_arch is \[16, 16\], and this run's is \[8\]$": ["algorithm.net_arch=[8]"],

@@ -106,11 +106,21 @@ def test_a_wrong_override_is_named(overrides, words):
     ("changes", "words"),
     [
         ({"space": {"algorithm.gama": {"uniform": [0.9, 0.99]}}}, "search.space.algorithm.gama: "),
-        ({"space": {"algorithm.gamma": {"uniform": [0.9, 1.5]}}}, "search.space.algorithm.gamma: algorithm.gamma=1.5"),
-        ({"space": {"algorithm": {"choices": ["sac", "td3"]}, "algorithm.ent_coef": {"uniform": [0.1, 0.2]}}},
-         "search.space.algorithm.ent_coef: "),
+        (
+            {"space": {"algorithm.gamma": {"uniform": [0.9, 1.5]}}},
+            "search.space.algorithm.gamma: algorithm.gamma=1.5",
+        ),
+        (
+            {
+                "space": {
+                    "algorithm": {"choices": ["sac", "td3"]},
+                    "algorithm.ent_coef": {"uniform": [0.1, 0.2]},
+                }
+            },
+            "search.space.algorithm.ent_coef: ",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_space_that_cannot_run_is_refused_before_anything_starts(tmp_path, changes, words):
     assert words in refused(user_search(tmp_path, **changes))
 
