@@ -12,6 +12,7 @@ from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.statistics import wilson_interval
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.metrics import EPISODE_SEED, Episode, Metric, episode_columns, outcome
+from parking_exp.tasks.rollout import rollout
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
@@ -143,25 +144,20 @@ def _run_batch(
     paths: PathRecorder | None,
 ) -> None:
     """Step a batch until all episodes have ended, and add the row of each to `rows` by its seed."""
-    observation = batch.observe()
     returns = np.zeros(len(seeds))
-    steps = 0
     if paths is not None:
-        paths.record(observation, seeds, steps)
-    while len(batch):
-        step = batch.step(policy(observation))
-        steps += 1
+        paths.record(batch.observe(), seeds, 0)
+    for steps, (episodes, _, step) in enumerate(rollout(policy, batch), start=1):
         check_finite({**step.observation, "reward": step.reward}, f"in step {steps} of an episode")
-        returns += step.reward
-        observation = step.observation
+        returns[episodes] += step.reward
         if paths is not None:
-            paths.record(observation, seeds, steps)
+            paths.record(step.observation, seeds[episodes], steps)
 
-        done = step.terminated | step.truncated
-        for index in np.flatnonzero(done).tolist():
-            seed = int(seeds[index])
+        for index in np.flatnonzero(step.terminated | step.truncated).tolist():
+            number = episodes[index]
+            seed = int(seeds[number])
             ending = outcome(task.failure, bool(step.failed[index]), bool(step.is_success[index]))
-            total_reward = float(returns[index])
+            total_reward = float(returns[number])
             info = {"is_success": bool(step.is_success[index]), **batch.info(index)}
             if isinstance(policy, ScriptedPolicy):
                 info.update(policy.info(index))
@@ -169,13 +165,6 @@ def _run_batch(
             values = {metric.name: metric.of(episode) for metric in task.metrics}
             rows[seed] = {EPISODE_SEED: seed, "outcome": ending, **values}
 
-        if done.any():
-            batch.keep(~done)
-            if isinstance(policy, ScriptedPolicy):
-                policy.keep(~done)
-            seeds = seeds[~done]
-            returns = returns[~done]
-            observation = {key: value[~done] for key, value in observation.items()}
         if on_step is not None:
             on_step(len(rows))
 

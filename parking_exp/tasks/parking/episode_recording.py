@@ -10,6 +10,7 @@ from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scene_shapes import SceneShapes, scene_shapes
 from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.rollout import rollout
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation, Policy
 
@@ -45,25 +46,14 @@ def record_episodes(
     if isinstance(policy, ScriptedPolicy):
         policy.start(seeds)
     outcomes = [""] * len(seeds)
-    scenes = np.arange(len(seeds))
-    observation = simulator.observe()
-    history = [_record(simulator, np.zeros((2, len(seeds))), observation)]
-    recorded = [scenes]
-    while len(simulator):
-        actions = policy(observation)
-        step = simulator.step(actions)
+    history = [_record(simulator, np.zeros((2, len(seeds))), simulator.observe())]
+    recorded = [np.arange(len(seeds))]
+    for scenes, actions, step in rollout(policy, simulator):
         history.append(_record(simulator, simulator.controls(actions), step.observation))
         recorded.append(scenes)
-
-        done = step.terminated | step.truncated
-        for row in np.flatnonzero(done):
+        for row in np.flatnonzero(step.terminated | step.truncated):
             ending = outcome("crash", bool(step.failed[row]), bool(step.is_success[row]))
             outcomes[scenes[row]] = ending
-        simulator.keep(~done)
-        if isinstance(policy, ScriptedPolicy):
-            policy.keep(~done)
-        scenes = scenes[~done]
-        observation = {key: values[~done] for key, values in step.observation.items()}
 
     records = _split_by_scene(np.concatenate(history), np.concatenate(recorded))
     episodes = []
