@@ -108,14 +108,23 @@ def test_the_replay_buffer_has_the_sources_transitions_and_no_episode_under_way(
 
 
 @pytest.mark.parametrize(
-    ("agent", "env", "net_arch", "has_critics"),
+    ("agent", "env", "units", "cars_seen", "has_critics"),
     [
-        ("parked", "env=parking_stop", "algorithm.net_arch=[64,64]", False),
-        ("parallel", "env=parking_parallel", "algorithm.net_arch=[128,128]", True),
+        ("crowded", "parking_stop_crowded", 128, 4, False),
+        ("parked", "parking_stop", 64, 0, True),
+        ("parallel", "parking_parallel", 128, 4, True),
     ],
 )
-def test_networks_of_a_pretrained_agent_are_their_own_targets(agent, env, net_arch, has_critics):
-    config = make_config(f"init=pretrained/{agent}", env, "algorithm=td3", net_arch)
+def test_networks_of_a_pretrained_agent_are_their_own_targets(
+    agent, env, units, cars_seen, has_critics
+):
+    config = make_config(
+        f"init=pretrained/{agent}",
+        f"env={env}",
+        f"env.observation.vehicles_count={cars_seen}",
+        "algorithm=td3",
+        f"algorithm.net_arch=[{units},{units}]",
+    )
     model = model_of(config.model_copy(update={"n_envs": 1}))
     new_critics = parameters_to_vector(model.critic.parameters())
     warm_start.start(config, model)
