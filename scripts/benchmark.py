@@ -36,6 +36,7 @@ Arguments:
 
 update.*.sbx.ratio needs: pip install 'parking-exp[bench]'
 simulator.*.envpool.ratio needs: pip install envpool
+decision.planner.ms needs: pip install 'parking-exp[planning]'
 """
 
 import os
@@ -54,7 +55,11 @@ from parking_exp.resources import cores
 from parking_exp.runs.atomic_files import read_json, write_json
 
 VERSIONS = ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy", "sbx-rl", "jax")
-PEERS = {".sbx.": "sbx-rl", ".envpool.": "envpool"}  # packages that some figures need
+PEERS = {
+    ".sbx.": "sbx-rl",
+    ".envpool.": "envpool",
+    ".planner.": "ompl",
+}  # packages that some figures need
 
 
 @dataclass

@@ -9,7 +9,13 @@ from pathlib import Path
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.build_model import build_model
-from parking_exp.config.cell_labels import Setting, differing_keys, display_setting, settings_of
+from parking_exp.config.cell_labels import (
+    Setting,
+    differing_keys,
+    display_setting,
+    settings_of,
+    with_defaults,
+)
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.evaluation.agents import Agent
@@ -30,6 +36,7 @@ BUFFER_KEYS = (
     "buffer.buffer_size",
     "env.reward",
     "env.collision_reward",
+    "env.standing_reward",
 )
 
 
@@ -98,7 +105,8 @@ def _settings(config: RunConfig) -> dict[str, Setting]:
     plain = config.plain()
     given = plain["algorithm"].pop("policy_kwargs", None) or {}
     kept = {key: value for key, value in given.items() if not key.startswith("optimizer")}
-    return settings_of(plain) | settings_of(kept, "algorithm.policy_kwargs.")
+    settings = settings_of(plain) | settings_of(kept, "algorithm.policy_kwargs.")
+    return with_defaults(settings)
 
 
 def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) -> None:

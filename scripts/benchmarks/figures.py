@@ -57,8 +57,8 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
         "evaluation.500_scenes.wall_s": Figure(
             "<=", 1, partial(simulation.evaluation, 50 if quick else 500, rounds)
         ),
-        "decision.agent.ms": Figure(">=", 0, partial(decisions.agent, rounds)),
-        "decision.planner.ms": Figure(">=", 0, partial(decisions.planner, rounds)),
+        "decision.agent.ms": Figure(">=", 0, partial(decisions.agent_ms, rounds)),
+        "decision.planner.ms": Figure(">=", 0, partial(decisions.planner_ms, rounds)),
         **_updates(rounds, quick=quick),
         "run.tutorial.ratio": Figure(
             ">=", 1.8, partial(training.tutorial, rounds, rounds * 8 if quick else 3000)

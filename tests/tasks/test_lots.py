@@ -213,14 +213,23 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
     [
         (["lot.slot_length_m=4.9"], "env.lot.slot_length_m=4.9: the car is 5 m long"),
         (["lot.slot_width_m=[2,3]"], "env.lot.slot_width_m=2: the car is 2 m wide"),
-        (["lot.slot_length_m=[9,8]"], "give a length in metres, or the lowest and the highest"),
-        (["lot.slot_length_m=[8]"], "give a length in metres, or the lowest and the highest"),
-        (["lot.slot_length_m=long"], "give a length in metres, or the lowest and the highest"),
+        (
+            ["lot.slot_length_m=[9,8]"],
+            "give a length of at most 1000 m, or the lowest and the highest",
+        ),
+        (
+            ["lot.slot_length_m=[8]"],
+            "give a length of at most 1000 m, or the lowest and the highest",
+        ),
+        (
+            ["lot.slot_length_m=long"],
+            "give a length of at most 1000 m, or the lowest and the highest",
+        ),
         (["lot.starts.y_m=[1,0]"], "env.lot.starts.y_m: the lowest number comes first"),
         (["lot.angle_deg=[60,45]"], "env.lot.angle_deg: give an angle from 0 to 90 degrees"),
         (["lot.angle_deg=[45,91]"], "give an angle from 0 to 90 degrees, or the lowest and the"),
         (["lot.angle_deg=-1"], "give an angle from 0 to 90 degrees, or the lowest and the highest"),
-        (["lot.end_m=[8]"], "give a length in metres, or the lowest and the highest"),
+        (["lot.end_m=[8]"], "give a length from 0 to 1000 m, or the lowest and the highest"),
         (["lot.pitch_m=5"], "env.lot.pitch_m=5: slots overlap below 8 m"),
         # At both ends of the range they do not. In between, their diagonal is along the aisle.
         (["lot.angle_deg=[0,30]", "lot.pitch_m=[8.4,9]"], "pitch_m=8.4: slots overlap below 8.54"),
@@ -342,8 +351,28 @@ def test_standing_outside_the_slot_costs_more_the_slower_the_car_is(reward):
     assert added(0.5, 0.0) == 0  # parked
 
 
-def test_standing_costs_nothing_on_highway_envs_own_lot():
-    with pytest.raises(ConfigError, match=r"env.standing_reward=-0.3: other lots"):
+def test_a_moving_car_does_not_stand_where_its_virtual_goal_moves_as_fast():
+    changed = reward_of(env_config("parking_parallel", "standing_reward=-0.3"))
+    plain = reward_of(env_config("parking_parallel"))
+    moving_goal = goal(4, 5, 0.0, 3.0)
+    size = np.array([8.0, 3.0])
+    for speed, cost in ((3.0, 0.0), (0.0, -0.3)):
+        achieved = goal(9, 5, 0.0, speed)
+        added = changed(achieved, moving_goal, size)[0] - plain(achieved, moving_goal, size)[0]
+        assert added == pytest.approx(cost, abs=1e-12)
+
+
+def test_the_first_step_of_a_standing_car_costs_as_much_in_highway_envs_lot():
+    rewards = []
+    for standing_reward in (0.0, -0.3):
+        env = make_env(env_config("parking_parallel", f"standing_reward={standing_reward}"))
+        env.reset(seed=0)
+        rewards.append(env.step(np.zeros(2))[1])
+    assert rewards[1] - rewards[0] == pytest.approx(-0.3, abs=1e-12)
+
+
+def test_standing_reward_is_refused_on_highway_envs_own_lot():
+    with pytest.raises(ConfigError, match=r"env.standing_reward=-0.3: highway-env's own lot"):
         env_config("parking", "standing_reward=-0.3")
 
 

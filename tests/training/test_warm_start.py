@@ -184,6 +184,16 @@ MISFITS = {
     ],
     LAYER: ["env=parking_stop"],
     r"its n_envs is 2, and this run's is 1$": ["init_buffer=true", "n_envs=1"],
+    r"its env.collision_reward is -5, and this run's is -7$": [
+        "init_buffer=true",
+        "env.collision_reward=-7",
+    ],
+    r"its env.standing_reward is 0, and this run's is -0.3$": [
+        "init_buffer=true",
+        "env=parking_parallel",
+        "env.reward_weights=[1,0.3,0,0,0.02,0.02]",
+        "env.standing_reward=-0.3",
+    ],
 }
 
 

@@ -84,12 +84,12 @@ class ParametricLot(DrawnLot):
         self.turned = config.turned
         self.handed = config.handed
         lowest, highest = config.ranges
-        is_last = lowest < highest
-        is_last[:N_FIRST] = False
-        self._last = np.flatnonzero(is_last)  # of `LotNumbers`
-        n_of_parts = (N_FIRST, 3, 2, config.n_slots, len(self._last))
-        self._ends = np.cumsum(n_of_parts)
-        self.n_draws = int(self._ends[-1])
+        is_range = lowest < highest
+        is_range[:N_FIRST] = False
+        self._drawn_last = np.flatnonzero(is_range)  # of `LotNumbers`
+        n_of_parts = (N_FIRST, 3, 2, config.n_slots, len(self._drawn_last))
+        self._part_ends = np.cumsum(n_of_parts)
+        self.n_draws = int(self._part_ends[-1])
         starts = config.starts
         self._starts = np.array([starts.x_m, starts.y_m, np.radians(starts.heading_deg)]).T
         self._goals = np.arange(config.n_slots)
@@ -110,10 +110,11 @@ class ParametricLot(DrawnLot):
     def scenes(self, draws: np.ndarray) -> Scenes:
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
         n = len(draws)
-        first, starts, goal_and_number, order, last = np.split(draws, self._ends[:-1], axis=1)
+        parts = np.split(draws, self._part_ends[:-1], axis=1)
+        first, starts, goal_and_number, order, drawn_last = parts
         shares = np.zeros((n, len(DRAWN)))
         shares[:, :N_FIRST] = first
-        shares[:, self._last] = last
+        shares[:, self._drawn_last] = drawn_last
         numbers = self.config.numbers(shares)
         slots, box, middle = self._geometry(numbers)
 

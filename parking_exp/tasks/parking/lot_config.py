@@ -24,23 +24,29 @@ def bounds(value: Any) -> tuple[Any, Any]:
     return value, value
 
 
-def _check_drawn(value: Any, highest: float, sentence: str) -> float | list[float]:
+def _check_drawn(value: Any, limits: tuple[float, float], sentence: str) -> float | list[float]:
     """Return a number, or the lowest and the highest of those that scenes draw."""
     low, high = bounds(value)
     numbers = {type(low), type(high)} <= {int, float}
-    if not (numbers and 0 <= low <= high <= highest):
+    lowest, highest = limits
+    if not (numbers and lowest <= low <= high <= highest):
         raise ValueError(sentence)
     return [float(low), float(high)] if isinstance(value, list) else float(value)
 
 
 def _check_length(value: Any) -> float | list[float]:
-    sentence = "give a length in metres, or the lowest and the highest: [6, 7]"
-    return _check_drawn(value, MAX_M, sentence)
+    sentence = "give a length of at most 1000 m, or the lowest and the highest: [6, 7]"
+    return _check_drawn(value, (TINY, MAX_M), sentence)
+
+
+def _check_end(value: Any) -> float | list[float]:
+    sentence = "give a length from 0 to 1000 m, or the lowest and the highest: [6, 7]"
+    return _check_drawn(value, (0.0, MAX_M), sentence)
 
 
 def _check_angle(value: Any) -> float | list[float]:
     sentence = "give an angle from 0 to 90 degrees, or the lowest and the highest: [45, 90]"
-    return _check_drawn(value, 90.0, sentence)
+    return _check_drawn(value, (0.0, 90.0), sentence)
 
 
 def _check_order(value: list[float]) -> list[float]:
@@ -62,6 +68,7 @@ def _is_missing(value: Any) -> bool:
 
 
 Length = Annotated[Any, AfterValidator(_check_length)]
+End = Annotated[Any, AfterValidator(_check_end)]
 Angle = Annotated[Any, AfterValidator(_check_angle)]
 Ordered = Annotated[Bounds, AfterValidator(_check_order)]
 VehiclesCount = Annotated[Any, AfterValidator(_check_vehicles_count)]
@@ -128,7 +135,7 @@ class LotConfig(ConfigModel):
     pitch_m: Length | None = None
     slots_per_row: Annotated[int, Field(ge=1, le=100)]
     rows: Literal[1, 2]
-    end_m: Length  # of the aisle, beyond the rows
+    end_m: End  # of the aisle, beyond the rows
     dead_end: bool
     heading: Literal["in", "out"]
     neighbours: Literal["any", "taken"]

@@ -246,8 +246,8 @@ class ParkingConfig(TaskConfig):
             yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"
         if self.standing_reward and not lots:
             yield (
-                f"env.standing_reward={self.standing_reward:g}: other lots than highway-env's own "
-                "only have it"
+                f"env.standing_reward={self.standing_reward:g}: highway-env's own lot has none; "
+                "set it to 0, or choose another lot, such as env=parking_parallel"
             )
         if lots and self.obstacles:
             yield f"env.obstacles={self.obstacles}: highway-env's own lot only has obstacles"

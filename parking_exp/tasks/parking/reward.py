@@ -27,7 +27,7 @@ class ParkingReward:
     failure_penalty: float  # what a crash adds to the reward
     # Whether the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance.
     sparse: bool
-    standing_reward: float  # what standing outside the slot adds on other lots than highway-env's
+    standing_reward: float  # added where the car stands outside its slot; `LotReward` only
 
     failure_key = "crashed"
     info_keys: ClassVar[tuple[str, ...]] = ()
@@ -86,13 +86,12 @@ class LotReward(ParkingReward):
         x, y, vx, vy = np.moveaxis(achieved[..., :4] - desired[..., :4], -1, 0)
         ahead, side = in_frame((x, y), slot)
         cos_error, sin_error = in_frame((achieved[..., 4], achieved[..., 5]), slot)
-        speed_mps = np.sqrt(vx * vx + vy * vy) * DEFAULT_SCALES[2]
         parked = np.asarray(
             is_parked(
                 ahead * DEFAULT_SCALES[0],
                 side * DEFAULT_SCALES[1],
                 np.arctan2(sin_error, cos_error),
-                speed_mps,
+                np.sqrt(vx * vx + vy * vy) * DEFAULT_SCALES[2],
                 info[..., 0],
                 info[..., 1],
             )
@@ -106,9 +105,18 @@ class LotReward(ParkingReward):
             reward = -np.sqrt(np.vecdot(np.abs(distances), self.weights))
 
         if self.standing_reward:
-            slowness = np.maximum(0.0, 1.0 - speed_mps / PARKED_SPEED_MPS)
-            reward = reward + self.standing_reward * slowness * ~parked
+            reward = reward + self._standing_reward(achieved) * ~parked
         return reward, parked
+
+    def _standing_reward(self, achieved: np.ndarray) -> np.ndarray:
+        """Return what standing adds, shape (...).
+
+        The car's own speed counts. A virtual goal may move, and a car that moves with it drives.
+        """
+        vx, vy = np.moveaxis(achieved[..., 2:4], -1, 0)
+        speed_mps = np.sqrt(vx * vx + vy * vy) * DEFAULT_SCALES[2]
+        slowness: np.ndarray = np.maximum(0.0, 1.0 - speed_mps / PARKED_SPEED_MPS)
+        return self.standing_reward * slowness
 
 
 def reward_of(config: ParkingConfig) -> ParkingReward:
