@@ -129,9 +129,15 @@ class Experiment:
         0.012`.
         """
         pair = self._pair(first, second)
-        if pair.a != self.cell(first).id:
-            pair = pair.reverse()
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_corrected)}"
+
+    def verdict(self, first: str, second: str) -> str:
+        """Return the verdict on the difference in success of two cells, and its points, e.g.
+        `▲ +9.1`.
+        """
+        pair = self._pair(first, second)
+        mark = formats.VERDICTS[pair.verdict].mark
+        return f"{mark} {formats.points(pair.difference.value)}"
 
     def ranks(self, first: str, second: str) -> str:
         """Return p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
@@ -168,8 +174,14 @@ class Experiment:
         return np.array(times)
 
     def _pair(self, first: str, second: str) -> Pair:
-        ids = {self.cell(first).id, self.cell(second).id}
-        return next(pair for pair in self.report.pairs if {pair.a, pair.b} == ids)
+        """Return the comparison of the first cell with the second."""
+        of_first, of_second = self.cell(first).id, self.cell(second).id
+        for pair in self.report.pairs:
+            if (pair.a, pair.b) == (of_first, of_second):
+                return pair
+            if (pair.a, pair.b) == (of_second, of_first):
+                return pair.reverse()
+        raise ValueError(f"{first} and {second} are not compared")
 
     def mean(self, key: str, level: object) -> str:
         """Return the mean success of the cells with a value of a config key, with its interval."""

@@ -57,7 +57,7 @@ def test_every_table_has_its_command_every_figure_a_table_and_exports_are_small(
         "feasibility",
         "tight_lots",
         "her_lots",
-    }  # replaced, tuning, one seed, in the text, all equal, one seed, four seeds
+    }  # replaced, tuning, one seed, in the text, all equal, one seed, a table
     assert figures <= tables
     assert figures == {
         path.stem.removeprefix("results_") for path in (ROOT / "docs" / "images").glob("results_*")
