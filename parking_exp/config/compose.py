@@ -259,9 +259,9 @@ def value_of_level(key: str, _root_: DictConfig) -> Any:
 
 
 def _check_level(env: DictConfig) -> None:
-    """Refuse a level that sets no number of an env; a stored env has no levels."""
+    """Refuse a level from which no number of an env follows; a stored env has no levels."""
     if env.level and "levels" in env and "${level:" not in OmegaConf.to_yaml(env):
-        raise ConfigError(f"env.level={env.level}: no number of env={env.name} is set by a level")
+        raise ConfigError(f"env.level={env.level}: no number of env={env.name} follows from it")
 
 
 OmegaConf.register_new_resolver("options", options_of, replace=True)

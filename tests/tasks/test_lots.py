@@ -274,7 +274,7 @@ def test_a_level_that_sets_no_number_is_refused(overrides, level):
     keys = [f"env.{override}" for override in overrides]
     with pytest.raises(ConfigError) as error:
         make_config("env=parking_parallel", level, *keys)
-    sentence = "env.level=hard: no number of env=parking_parallel is set by a level"
+    sentence = "env.level=hard: no number of env=parking_parallel follows from it"
     assert str(error.value) == sentence
     assert env_config("parking_parallel", *overrides).level == "easy"
     assert env_config("parking_parallel", "level=null", *overrides).level is None
@@ -372,8 +372,10 @@ def test_the_first_step_of_a_standing_car_costs_as_much_in_highway_envs_lot():
 
 
 def test_standing_reward_is_refused_on_highway_envs_own_lot():
-    with pytest.raises(ConfigError, match=r"env.standing_reward=-0.3: highway-env's own lot"):
+    with pytest.raises(ConfigError, match=r"such as env=parking_parallel$"):
         env_config("parking", "standing_reward=-0.3")
+    with pytest.raises(ConfigError, match=r"env.standing_reward=-0.3: highway-env's own lot"):
+        make_config("env=parking", "++env.standing_reward=-0.3")
 
 
 def test_training_tells_her_the_size_of_the_slot():
