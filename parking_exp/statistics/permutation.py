@@ -3,11 +3,13 @@
 import itertools
 import math
 from collections.abc import Sequence
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-RATE_STEPS = 20_000  # rates are rounded to 0.005 points
+MAX_EPISODES = 10_000  # of a rate
+RATE_STEPS = 20_000  # rates that are no shares of so many episodes are rounded to 0.005 points
 MAX_DIFFERENCE_STEPS = 200_000  # in a difference of 1
 MAX_COUNTS = 20_000_000  # of sums: with more, rates are rounded further, to fit into memory
 
@@ -20,21 +22,21 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     p of at most x with a probability of at most x. Swapping the cells does not change it.
 
     Args:
-        strata: pairs of rates in 0 ... 1, shapes (n_a,) and (n_b,).
+        strata: pairs of rates in 0 ... 1, shapes (n_a,) and (n_b,). Shares of up to MAX_EPISODES
+            episodes are exact, others are rounded.
     """
     from scipy.signal import fftconvolve
 
-    rounded = [(_count_rate_steps(a), _count_rate_steps(b)) for a, b in strata]
-    cells = [*itertools.chain(*rounded)]
-    largest_step = np.gcd.reduce([RATE_STEPS, *np.concatenate(cells)])
+    cells = [*itertools.chain(*strata)]
+    rate_steps = _choose_rate_steps(np.concatenate(cells))
     # All differences are multiples of such a step, unless cells have many different sizes.
-    n_steps = RATE_STEPS // int(largest_step) * math.lcm(*map(len, cells))
+    n_steps = rate_steps * math.lcm(*map(len, cells))
     n_steps = min(n_steps, MAX_DIFFERENCE_STEPS)
 
     observed = 0
     shares = np.ones(1)
-    for a, b in rounded:
-        observed_in_stratum, shares_in_stratum = _share_differences(a, b, n_steps)
+    for a, b in strata:
+        observed_in_stratum, shares_in_stratum = _share_differences(a, b, rate_steps, n_steps)
         observed += observed_in_stratum
         shares = fftconvolve(shares, shares_in_stratum)
 
@@ -44,35 +46,48 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     return min(1.0, max(0.0, p))  # the convolution is not exact to the last digit
 
 
-def _count_rate_steps(rates: ArrayLike) -> np.ndarray:
-    return np.rint(np.asarray(rates) * RATE_STEPS).astype(int)
+def _choose_rate_steps(rates: np.ndarray) -> int:
+    """Return the smallest number of which all rates are whole parts, else RATE_STEPS.
+
+    Equal sums have to stay equal. With 300 episodes, rates that were rounded would break ties.
+    """
+    shares = [Fraction(rate).limit_denominator(MAX_EPISODES) for rate in rates]
+    n_steps = math.lcm(*[share.denominator for share in shares])
+    are_shares = np.allclose(rates, np.array(shares, dtype=float), rtol=0, atol=1e-12)
+    if are_shares and n_steps <= MAX_DIFFERENCE_STEPS:
+        return n_steps
+    return RATE_STEPS
 
 
-def _share_differences(a: np.ndarray, b: np.ndarray, n_steps: int) -> tuple[int, np.ndarray]:
+def _share_differences(
+    a: ArrayLike, b: ArrayLike, rate_steps: int, n_steps: int
+) -> tuple[int, np.ndarray]:
     """Return the observed difference, and the share of the assignments that have each difference.
 
-    `a` and `b` are in 1 / RATE_STEPS, differences in 1 / n_steps. The shares are those of the
+    Rates are rounded to 1 / rate_steps, differences to 1 / n_steps. The shares are those of the
     differences -d, ..., 0, ..., d.
     """
-    if len(a) > len(b):  # fewer sums are counted for the smaller cell
-        observed, shares = _share_differences(b, a, n_steps)
+    if np.size(a) > np.size(b):  # fewer sums are counted for the smaller cell
+        observed, shares = _share_differences(b, a, rate_steps, n_steps)
         return -observed, shares[::-1]
 
-    both = np.concatenate([a, b])
+    n_a = np.size(a)
+    n_b = np.size(b)
+    both = np.rint(np.concatenate([a, b]) * rate_steps).astype(int)
     above_lowest = both - both.min()
     step = np.gcd.reduce(above_lowest)  # e.g. 40 for rates of 500 episodes
-    step = max(step, math.ceil(above_lowest.sum() * len(a) / MAX_COUNTS), 1)
+    step = max(step, math.ceil(above_lowest.sum() * n_a / MAX_COUNTS), 1)
     seeds = above_lowest // step
     total = seeds.sum()
     sums_of_a = np.arange(total + 1)
-    differences_of_means = sums_of_a / len(a) - (total - sums_of_a) / len(b)
-    differences = np.rint(differences_of_means * step / RATE_STEPS * n_steps).astype(int)
+    differences_of_means = sums_of_a / n_a - (total - sums_of_a) / n_b
+    differences = np.rint(differences_of_means * step / rate_steps * n_steps).astype(int)
 
     farthest = np.abs(differences).max()
     shares = np.bincount(
-        differences + farthest, weights=_share_sums(seeds, len(a)), minlength=2 * farthest + 1
+        differences + farthest, weights=_share_sums(seeds, n_a), minlength=2 * farthest + 1
     )
-    observed = differences[seeds[: len(a)].sum()]
+    observed = differences[seeds[:n_a].sum()]
     return int(observed), shares
 
 
