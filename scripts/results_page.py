@@ -158,6 +158,17 @@ class Experiment:
         median = float(np.median(self._cpu_s_to_95(label)))
         return formats.number(median)
 
+    def each_cpu_s_to_95(self, label: str) -> str:
+        """List the CPU seconds of each seed of a cell until success stays at 95 %."""
+        times = np.sort(self._cpu_s_to_95(label))
+        texts = [formats.number(time) if np.isfinite(time) else "not reached" for time in times]
+        return ", ".join(texts)
+
+    def each_rate(self, label: str) -> str:
+        """List the success of each seed of a cell."""
+        rates = np.sort(seed_rates(self.cell(label)).rates)
+        return ", ".join(formats.percent(rate) for rate in rates)
+
     def holding_95(self, label: str) -> str:
         """Return in how many seeds of a cell success stays at 95 %, e.g. `9/10`."""
         times = self._cpu_s_to_95(label)
@@ -307,8 +318,8 @@ def ratio_of_times(times: np.ndarray, others: np.ndarray) -> tuple[float, float,
     """Return the ratio of two samples of times, and the ends of its 95 % interval.
 
     It is the median of the ratios of all pairs. The interval inverts the exact test of Mann and
-    Whitney, so that both may have any distribution (Hodges and Lehmann 1963). Shape (seeds,) each.
-    Times of the first may be inf, where only a lower limit is known.
+    Whitney (Hodges and Lehmann 1963). It supposes that both have the same distribution but for a
+    factor. Shape (seeds,) each. Times of the first may be inf, where only a lower limit is known.
 
     Raises:
         ValueError: there are too few times for an interval of 95 %.

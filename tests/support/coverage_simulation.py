@@ -100,6 +100,20 @@ UNEQUAL = (
     (Rates(0.99, 0.01, failing=0.1), Rates(0.99, 0.01)),
     (Rates(0.8, 0.08), Rates(0.95, 0.03)),
 )
+# A verdict needs the test and the interval, and the interval of a family is wider.
+FAMILIES = (1, 10, 20)
+APART = (
+    (Rates(0.4, 0.05), Rates(0.5, 0.05)),
+    (Rates(0.4, 0.05), Rates(0.6, 0.05)),
+    (Rates(0.9, 0.03), Rates(0.95, 0.03)),
+    (Rates(0.8, 0.08), Rates(0.95, 0.03)),
+)
+# Their means are equal. Their distributions are not, which the test takes them to be.
+OF_OTHER_SHAPES = (
+    (Rates(0.99, 0.003), Rates(0.99, 0.03)),
+    (Rates(0.9405, 0.01), Rates(0.99, 0.01, failing=0.05)),
+    (Rates(0.891, 0.01), Rates(0.99, 0.01, failing=0.1)),
+)
 
 
 def of_mean(rates, n, draws=DRAWS, episodes=100):
@@ -135,6 +149,19 @@ def p_values(a, b, n, draws=DRAWS, episodes=100):
     )
 
 
+def decides(a, b, n, n_pairs=1, draws=DRAWS, episodes=500):
+    """Return in which of the draws a report says "better" or "worse" in a family of `n_pairs`."""
+    decided = []
+    first = a.measured(n, draws, 2, episodes)
+    second = b.measured(n, draws, 3, episodes)
+    for row_a, row_b in zip(first, second, strict=True):
+        pair = ([SeedRates(row_a, episodes)], [SeedRates(row_b, episodes)])
+        difference = compare([pair], n_pairs=n_pairs)[0]
+        excludes_0 = difference.low > 0 or difference.high < 0
+        decided.append(difference.p_corrected < 0.05 and excludes_0)
+    return np.array(decided)
+
+
 def speaks(rates, n, draws=400):
     """Return in which of the draws `coverage_note` says something."""
     return np.array([coverage_note(row) is not None for row in rates.measured(n, draws, seed=2)])
@@ -150,6 +177,15 @@ def main():
         for pair in pairs:
             p = [p_values(*pair, n, 10_000) for n in SEEDS]
             shares = [[f"{100 * (of_n <= level).mean():.2f}" for level in LEVELS] for of_n in p]
+            print(name, *pair, *map("/".join, shares), flush=True)
+
+    print("share of draws with a verdict, by number of seeds", *SEEDS, "and of pairs", *FAMILIES)
+    for name, pairs in (("unequal", APART), ("equal means", OF_OTHER_SHAPES)):
+        for pair in pairs:
+            shares = [
+                [f"{100 * decides(*pair, n, n_pairs).mean():.1f}" for n_pairs in FAMILIES]
+                for n in SEEDS
+            ]
             print(name, *pair, *map("/".join, shares), flush=True)
 
     print("coverage, by number of seeds", *SEEDS)
