@@ -149,7 +149,7 @@ def p_values(a, b, n, draws=DRAWS, episodes=100):
     )
 
 
-def decides(a, b, n, n_pairs=1, draws=DRAWS, episodes=500):
+def decides(a, b, n, n_pairs=1, draws=500, episodes=500):
     """Return in which of the draws a report says "better" or "worse" in a family of `n_pairs`."""
     decided = []
     first = a.measured(n, draws, 2, episodes)
