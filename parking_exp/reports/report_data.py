@@ -217,4 +217,6 @@ class ReportData:
             cell.update(cell.pop("further") | cell.pop("task_data"))
             for seed in cell["seeds"]:
                 seed.update(seed.pop("further"))
+        if self.tuning is not None:
+            plain["tuning"]["settings"] = self.tuning.settings.model_dump(by_alias=True)
         return plain

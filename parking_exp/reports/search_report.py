@@ -23,7 +23,7 @@ from parking_exp.reports.tables.table import (
 )
 from parking_exp.statistics import Interval, SeedRates, compare, mean_interval
 from parking_exp.tuning.search import StoredSearch, read_search
-from parking_exp.tuning.trials import RetestedTrial, describe_states, rank_trials
+from parking_exp.tuning.trials import OBJECTIVE, RetestedTrial, describe_states, rank_trials
 
 
 def with_stored_search(report: ReportData, output_dir: Path) -> ReportData:
@@ -50,7 +50,7 @@ def with_search(report: ReportData, search: StoredSearch) -> ReportData:
         claims.insert(
             0,
             f"On {plural(len(best.test), 'test seed')}, “{best.label}” is the best of "
-            f"{plural(len(search.retested), 'retrained trial')}: {search.objective} "
+            f"{plural(len(search.retested), 'retrained trial')}: {OBJECTIVE} "
             f"{formats.rate_interval(mean_interval(best.test))}; "
             f"tuning minus test {formats.points_interval(_compare_seeds(best))}.",
         )
@@ -71,10 +71,11 @@ def describe_search(report: ReportData) -> Iterator[str]:
     search = report.tuning
     if search is None:
         return
+    settings = search.settings
     text = (
-        f"{plural(search.n_trials, 'trial')} (sampler {search.sampler}, pruner "
-        f"{search.pruner or 'none'}): {describe_states(search.trials, search.n_trials)}. "
-        f"Objective: {search.objective}, mean over {plural(search.n_seeds, 'tuning seed')}."
+        f"{plural(search.n_trials, 'trial')} (sampler {settings.sampler}, pruner "
+        f"{settings.pruner or 'none'}): {describe_states(search.trials, search.n_trials)}. "
+        f"Objective: {OBJECTIVE}, mean over {plural(len(settings.tuning_seeds), 'tuning seed')}."
     )
     for best in rank_trials(search.trials)[:1]:
         text += f" The best is “{best.label}” with {formats.rate_text(best.value)}."
@@ -86,26 +87,27 @@ def trial_table(report: ReportData) -> Iterator[Table]:
     search = report.tuning
     if search is None:
         return
+    settings = search.settings
     columns = [
         Column("Trial", "number", formats.number, numeric=False),
         text_column("State", "state"),
-        Column(search.objective, search.objective, formats.percent),
+        Column(OBJECTIVE, OBJECTIVE, formats.percent),
     ]
-    for name, distribution in search.parameters.items():
-        is_number = distribution.get("name") != "CategoricalDistribution"
+    for name, dimension in settings.space.items():
+        is_number = dimension.choices is None
         columns.append(Column(name, name, _write_parameter, numeric=is_number))
     if any(trial.reason for trial in search.trials):
         columns.append(text_column("Why it failed", "reason"))
 
     rows = []
     for trial in search.trials:
-        row: dict[str, Any] = {search.objective: trial.value}
-        row |= dict.fromkeys(search.parameters)
+        row: dict[str, Any] = {OBJECTIVE: trial.value}
+        row |= dict.fromkeys(settings.space)
         row |= trial.parameters
         row |= record(trial)
         row["label"] = trial.label
         rows.append(row)
-    caption = f"Trials: means over {search.n_seeds} tuning seeds (%), and parameters."
+    caption = f"Trials: means over {len(settings.tuning_seeds)} tuning seeds (%), and parameters."
     yield Table("trials", rows, columns, caption, latex=True)
 
 
@@ -136,7 +138,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
     ]
     caption = (
         "The best trials and trial 0, the unchanged config, trained again on seeds that no trial "
-        f"was selected by: {search.objective} (%), with 95 % intervals. Values on tuning seeds are "
+        f"was selected by: {OBJECTIVE} (%), with 95 % intervals. Values on tuning seeds are "
         "optimistic for the best of many."
     )
     yield Table("retest", rows, columns, caption, latex=True)

@@ -1,6 +1,5 @@
 """A search: its settings, the config of each trial, its study."""
 
-import json
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,9 +17,9 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.initial_agents import name_source
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.lookup import LATEST
-from parking_exp.tuning.search_config import SearchFile, TuneRequest
+from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_of, study_errors
-from parking_exp.tuning.trials import OBJECTIVE, RetestedTrial, TrialRow, read_retest, read_trials
+from parking_exp.tuning.trials import RetestedTrial, TrialRow, read_retest, read_trials
 
 SEARCH_FILE = "search.json"
 _COMPOSING = threading.Lock()  # Hydra's state is global, and workers are threads
@@ -154,21 +153,14 @@ class StoredSearch:
 
     Attributes:
         n_trials: number of trials requested.
-        objective: its name; it is maximised.
-        n_seeds: number of tuning seeds of each trial.
-        parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json`
-            describes it.
+        settings: its space, sampler, pruner and seeds.
         trials: trial 0 and those that have begun, by number.
         retested: trials that were trained again on test seeds, best first.
     """
 
     experiment: str
-    sampler: str
-    pruner: str | None
     n_trials: int
-    objective: str
-    n_seeds: int
-    parameters: Mapping[str, Mapping[str, Any]]
+    settings: SearchConfig
     trials: Sequence[TrialRow]
     retested: Sequence[RetestedTrial] = ()
 
@@ -185,24 +177,15 @@ def read_search(folder: Path) -> StoredSearch | None:
     if not content:
         return None
     import optuna
-    from optuna.distributions import distribution_to_json
 
     stored = check(SearchFile, content)
-    settings = stored.search
     with study_errors(folder.name):
         study = optuna.load_study(study_name=folder.name, storage=storage_of(folder))
         retested = read_retest(folder)
     return StoredSearch(
         experiment=folder.name,
-        sampler=settings.sampler,
-        pruner=settings.pruner,
         n_trials=stored.n_trials,
-        objective=OBJECTIVE,
-        n_seeds=len(settings.tuning_seeds),
-        parameters={
-            name: json.loads(distribution_to_json(dimension.distribution()))
-            for name, dimension in settings.space.items()
-        },
-        trials=read_trials(study, folder, settings.space, stored.n_trials),
+        settings=stored.search,
+        trials=read_trials(study, folder, stored.search.space, stored.n_trials),
         retested=retested,
     )

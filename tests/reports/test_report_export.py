@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from support.report_command import report
 from support.runs import copy_of
+from support.searches import settings
 from support.store_factory import Look, make_store
 
 from parking_exp.reports.make_report import ReportSource, read_report_export, write_report_export
@@ -111,16 +112,10 @@ def test_an_export_of_some_cells_has_no_others(source, folder, tmp_path):
 
 
 def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
-    kind = {
-        "name": "FloatDistribution",
-        "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None},
-    }
     trial = TrialRow(
         0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"]
     )
-    search = StoredSearch(
-        "one", "tpe", None, 2, "success_auc", 2, {"algorithm.gamma": kind}, [trial], retested=[]
-    )
+    search = StoredSearch("one", 2, settings(), [trial], retested=[])
     data = with_search(report_of(source), search)
     write_report_export(source, data, tmp_path / "one", only_cells=False)
     export = read_report_export(str(tmp_path / "one"))

@@ -132,7 +132,7 @@ def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
     folder.mkdir()
     write_retest(folder, (0, [0.5], [0.5]))  # one seed: no interval
     search = many(folder)
-    assert search.parameters["buffer"]["attributes"]["choices"] == ["her_future", "replay"]
+    assert search.settings.space["buffer"].choices == ["her_future", "replay"]
     plain = json.loads(json.dumps(report(search=search).plain(), allow_nan=False))
     exported = TypeAdapter(StoredSearch).validate_python(plain["tuning"])
     assert exported == search

@@ -1,6 +1,5 @@
 """Figures of a search by `optuna.visualization.matplotlib`."""
 
-import json
 import warnings
 from collections.abc import Iterator
 from typing import Any
@@ -12,7 +11,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from parking_exp.figure_style import WIDTH_IN, Drawing, report_style
 from parking_exp.reports.report_data import ReportData
 from parking_exp.tuning.search import StoredSearch
-from parking_exp.tuning.trials import rank_trials
+from parking_exp.tuning.trials import OBJECTIVE, rank_trials
 
 MAX_SLICES = 4  # in one figure
 MIN_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
@@ -21,12 +20,9 @@ MIN_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 def rebuild_study(search: StoredSearch) -> Any:
     """Return an in-memory study of a report's finished trials, which may be from an export."""
     import optuna
-    from optuna.distributions import json_to_distribution
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    distributions = {}
-    for name, description in search.parameters.items():
-        distributions[name] = json_to_distribution(json.dumps(description))
+    space = search.settings.space
     study = optuna.create_study(direction="maximize")
     for trial in search.trials:
         if trial.value is not None:
@@ -34,7 +30,7 @@ def rebuild_study(search: StoredSearch) -> Any:
                 optuna.trial.create_trial(
                     value=trial.value,
                     params=dict(trial.parameters),
-                    distributions={name: distributions[name] for name in trial.parameters},
+                    distributions={name: space[name].distribution() for name in trial.parameters},
                 )
             )
     return study
@@ -51,7 +47,7 @@ def _plot(name: str, search: StoredSearch, height: float = 3.0, **arguments: Any
     # Optuna sets a style of its own, and warns of parameters that have one value.
     with report_style(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        drawn = plot(study, target_name=search.objective, **arguments)
+        drawn = plot(study, target_name=OBJECTIVE, **arguments)
     figure = np.ravel(drawn)[0].figure
     pyplot.close(figure)
     figure.set(size_inches=(WIDTH_IN, height), facecolor="white")
@@ -72,7 +68,7 @@ def draw_history(report: ReportData) -> Iterator[Drawing]:
     search = report.tuning
     if search is not None and len(rank_trials(search.trials)) > 1:
         figure = _plot("plot_optimization_history", search)
-        yield figure, f"{search.objective} of each trial that is done, and the best so far."
+        yield figure, f"{OBJECTIVE} of each trial that is done, and the best so far."
 
 
 def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
@@ -82,10 +78,10 @@ def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
         return
     values = [trial.value for trial in rank_trials(search.trials)]
     if len(values) >= MIN_TRIALS and len(set(values)) > 1:
-        height = 1.0 + 0.3 * len(search.parameters)
+        height = 1.0 + 0.3 * len(search.settings.space)
         yield (
             _plot("plot_param_importances", search, height),
-            f"Importance of each parameter for the best tenth of trials by {search.objective} "
+            f"Importance of each parameter for the best tenth of trials by {OBJECTIVE} "
             "(PED-ANOVA).",
         )
 
@@ -101,5 +97,5 @@ def draw_slices(report: ReportData) -> Iterator[Drawing]:
     for begin in range(0, len(names), MAX_SLICES):
         parameters = list(names)[begin : begin + MAX_SLICES]
         figure = _plot("plot_slice", search, params=parameters)
-        caption = f"{search.objective} against {', '.join(parameters)}; darker trials are later."
+        caption = f"{OBJECTIVE} against {', '.join(parameters)}; darker trials are later."
         yield figure, caption
