@@ -102,11 +102,6 @@ def rate_interval(interval: Interval) -> str:
     return rate_text(interval.value) + _write_bounds(interval, percent)
 
 
-def words(value: Any) -> str:
-    """Write a name or a few words."""
-    return "" if value is None else str(value)
-
-
 def level(value: Any) -> str:
     """Write a factor's level; a control that has no such key has none."""
     return "none" if value is None else display_setting(value)

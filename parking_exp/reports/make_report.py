@@ -14,12 +14,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.paths import default_uri, directory_path, refuse_links
 from parking_exp.errors import ConfigError, ResultsError, plural
+from parking_exp.report_section import Section
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_files import write_report
 from parking_exp.reports.report_request import ReportRequest
 from parking_exp.reports.search_report import with_search, with_stored_search
-from parking_exp.reports.sections import Section, load_sections
+from parking_exp.reports.sections import load_sections
 from parking_exp.results.frame_export import (
     REPORT,
     read_export,

@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from parking_exp.report_section import Section, Table
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import (
-    Section,
     SectionContent,
     draw,
     section_contents,
     sections_of,
 )
 from parking_exp.reports.tables.latex import to_latex
-from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically
 
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")

@@ -1,9 +1,8 @@
 """The sections of a report, in order: what each has to say, its figures and its tables."""
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import matplotlib.figure
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError
 from parking_exp.figure_style import SectionFigure, clean, report_style
+from parking_exp.report_section import Section, Table
 from parking_exp.reports.cell_summaries import HOLD
 from parking_exp.reports.figures.cell_figures import (
     draw_final_success,
@@ -28,20 +28,8 @@ from parking_exp.reports.methods import describe_methods
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import describe_search, retest_table, trial_table
 from parking_exp.reports.tables import report_tables
-from parking_exp.reports.tables.table import Table, cell_record, without_constants
+from parking_exp.reports.tables.table import without_constants
 from parking_exp.tasks.registry import task_reports
-from parking_exp.tasks.task import TaskSection
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the page: paragraphs, tables and figures. It is left out where it has none."""
-
-    id: str
-    title: str
-    text: Callable[[ReportData], Iterable[str]] = lambda report: ()
-    tables: Sequence[Callable[[ReportData], Iterable[Table]]] = ()
-    figures: Sequence[SectionFigure] = ()
 
 
 def what_was_run(report: ReportData) -> Iterator[str]:
@@ -137,7 +125,7 @@ def sections_of(report: ReportData) -> list[Section]:
     for section in SECTIONS:
         if section.id == "seeds":
             for task in task_reports(report.tasks):
-                sections += map(_adapt_section, task.sections)
+                sections += task.sections
         sections.append(section)
     return sections
 
@@ -157,23 +145,6 @@ def load_sections(paths: Sequence[str]) -> list[Section]:
             )
         sections.append(section)
     return sections
-
-
-def _adapt_section(section: TaskSection) -> Section:
-    """Return a section of a report from that of a task."""
-    return Section(
-        section.id,
-        section.title,
-        tables=[partial(_list_task_rows, section.table)],
-        figures=section.figures,
-    )
-
-
-def _list_task_rows(name: str, report: ReportData) -> Iterator[Table]:
-    rows = []
-    for cell in report.cells:
-        rows += [{**cell_record(cell), **row} for row in cell.task_data.get(name, ())]
-    yield Table(name, rows)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from stable_baselines3.common.vec_env import VecEnv
 
-    from parking_exp.figure_style import SectionFigure
+    from parking_exp.report_section import Section
 
 Observation = dict[str, np.ndarray]
 """`observation`, `achieved_goal`, `desired_goal`; each of shape (...) or (batch, ...)."""
@@ -190,24 +190,12 @@ class Task(ABC):
 
 
 @dataclass(frozen=True)
-class TaskSection:
-    """A section of reports that one task has: figures, and a CSV table of the rows, dicts, in each
-    cell's data.
-    """
-
-    id: str
-    title: str
-    figures: Sequence["SectionFigure"]
-    table: str  # its name, in a cell's data, too
-
-
-@dataclass(frozen=True)
 class TaskReport:
     """The part of a report that is specific to one task.
 
     Attributes:
         methods: sentences on how results are defined.
-        sections: of the report, left out where no cell has their data.
+        sections: of the report.
         rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of
             its runs, and from its config by dotted keys.
         drawn: returns what figures show of a cell beside its data, from the paths of one run (seed,
@@ -215,6 +203,6 @@ class TaskReport:
     """
 
     methods: Sequence[str]
-    sections: Sequence[TaskSection]
+    sections: Sequence["Section"]
     rates: Callable[["Sequence[pd.DataFrame]", Mapping[str, Any]], dict[str, Any]]
     drawn: Callable[["pd.DataFrame", Mapping[str, Any]], Any]

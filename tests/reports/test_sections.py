@@ -5,6 +5,7 @@ from support import report_factory
 
 from parking_exp.errors import ConfigError
 from parking_exp.figure_style import SectionFigure, new_figure
+from parking_exp.report_section import Table, cell_record
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import (
@@ -14,13 +15,7 @@ from parking_exp.reports.sections import (
     section_contents,
     sections_of,
 )
-from parking_exp.reports.tables.table import (
-    Table,
-    cell_column,
-    cell_record,
-    interval_column,
-    spread,
-)
+from parking_exp.reports.tables.table import cell_column, interval_column, spread
 
 
 def timeouts(report):

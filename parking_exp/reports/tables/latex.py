@@ -10,7 +10,8 @@ from dataclasses import replace
 import pandas as pd
 
 from parking_exp.figure_style import clean
-from parking_exp.reports.tables.table import Column, Row, Table, without_constants
+from parking_exp.report_section import Column, Row, Table
+from parking_exp.reports.tables.table import without_constants
 
 MAX_COLUMNS = 5  # of a table beside its first column; more make another table
 MAX_ROWS = 8  # of a table on one page

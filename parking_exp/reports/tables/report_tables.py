@@ -9,16 +9,13 @@ from typing import Any
 
 import pandas as pd
 
+from parking_exp.report_section import Column, Row, Table, cell_record
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import CellSummary, ReportData
 from parking_exp.reports.reported_metrics import FURTHER, heading, is_rate
 from parking_exp.reports.tables.table import (
     PERCENT,
-    Column,
-    Row,
-    Table,
     cell_column,
-    cell_record,
     interval_column,
     record,
     text_column,

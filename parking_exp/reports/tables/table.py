@@ -1,68 +1,15 @@
-"""The model of a table, which the page, LaTeX and CSV are written from."""
+"""Columns and rows of the tables of reports."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection
+from dataclasses import is_dataclass, replace
+from typing import Any
 
 from parking_exp.figure_style import clean
+from parking_exp.report_section import Column, Row, Table, words
 from parking_exp.reports import formats
-from parking_exp.reports.report_data import CellSummary
 from parking_exp.statistics import Interval, finite_or_none
 
 PERCENT = "with 95 % intervals over seeds in brackets"
-
-Row = Mapping[str, Any]
-"""Heading in CSV -> value."""
-
-
-class Column(NamedTuple):
-    """A column that people read.
-
-    Attributes:
-        key: of its value in a row.
-        form: writes the value, empty where nothing is known.
-        of_row: returns the value, where it is made of several of a row; the page sorts by that of
-            `key`.
-        numeric: whether it shows numbers.
-        cell: key of the id of the cell that it names.
-        given: whether it is a condition, not a result: the caption has it where it is the same in
-            every row.
-        note: what the caption says of it, without a full stop.
-        paper: whether LaTeX has it, too.
-    """
-
-    title: str
-    key: str
-    form: Callable[[Any], str] = formats.words
-    of_row: Callable[[Row], Any] | None = None
-    numeric: bool = True
-    cell: str | None = None
-    given: bool = False
-    note: str = ""
-    paper: bool = True
-
-    def write(self, row: Row) -> str:
-        """Return what it shows of a row."""
-        value = row.get(self.key) if self.of_row is None else self.of_row(row)
-        return self.form(value)
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of a report."""
-
-    name: str  # of its files; unique
-    rows: Sequence[Row]  # all values
-    # What people read, see `without_constants`. Without any, the table is for CSV alone.
-    columns: Sequence[Column] = ()
-    caption: str = ""
-    latex: bool = False  # whether it is written as LaTeX, too
-    folded: bool = False  # whether the page folds it away
-
-    @property
-    def readable(self) -> bool:
-        """Whether there is something to read."""
-        return bool(self.rows and self.columns)
 
 
 def without_constants(table: Table) -> Table:
@@ -109,13 +56,8 @@ def spread(name: str, interval: Interval) -> dict[str, float | None]:
     return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
-def cell_record(cell: CellSummary) -> dict[str, Any]:
-    """Return the columns of a row that name its cell."""
-    return {"cell": cell.id, "label": cell.label}
-
-
 def text_column(
-    title: str, key: str, form: Callable[[Any], str] = formats.words, *, paper: bool = True
+    title: str, key: str, form: Callable[[Any], str] = words, *, paper: bool = True
 ) -> Column:
     """Return a column of one text of each row."""
     return Column(title, key, form, numeric=False, paper=paper)

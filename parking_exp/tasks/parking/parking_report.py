@@ -2,13 +2,14 @@
 parked cars.
 """
 
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache, partial
 from typing import Any
 
 import pandas as pd
 
 from parking_exp.figure_style import SectionFigure
+from parking_exp.report_section import Section, Table, cell_record
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.parking.lot import Lot, SeveralLots
 from parking_exp.tasks.parking.lot_figures import (
@@ -20,7 +21,7 @@ from parking_exp.tasks.parking.lot_figures import (
 from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 from parking_exp.tasks.parking.stored_lot import stored_lot
-from parking_exp.tasks.task import TaskReport, TaskSection
+from parking_exp.tasks.task import TaskReport
 
 PARKING_OUTCOMES = [metric.name for metric in METRICS if metric.is_outcome]
 
@@ -101,6 +102,14 @@ def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing | None:
     return LotDrawing(typical, config.get("env.add_walls", True), on_lot)
 
 
+def _list_rates(name: str, report: Any) -> Iterator[Table]:
+    """Yield the CSV of the rates that cells have by this name."""
+    rows = []
+    for cell in report.cells:
+        rows += [cell_record(cell) | row for row in cell.task_data.get(name, ())]
+    yield Table(name, rows)
+
+
 PARKING_REPORT = TaskReport(
     methods=[
         "Success of parking is highway-env's: close to the goal slot, at any speed. Parked is "
@@ -111,24 +120,24 @@ PARKING_REPORT = TaskReport(
         "obstacles. Other agents know what env.observation shows them.",
     ],
     sections=[
-        TaskSection(
+        Section(
             "scenes",
             "Where episodes fail",
-            [
+            figures=[
                 SectionFigure("paths", "Where cars drive", draw_paths),
                 SectionFigure("scene_map", "Where on the lot episodes fail", draw_scene_map),
             ],
-            table="slots",
+            tables=[partial(_list_rates, "slots")],
         ),
-        TaskSection(
+        Section(
             "vehicles",
             "How many cars are parked",
-            [
+            figures=[
                 SectionFigure(
                     "vehicles", "Success and crashes by number of parked cars", draw_vehicle_rates
                 )
             ],
-            table="vehicles",
+            tables=[partial(_list_rates, "vehicles")],
         ),
     ],
     rates=rates,

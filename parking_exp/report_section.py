@@ -1,0 +1,84 @@
+"""Sections of reports, which tasks and users can add to: paragraphs, tables and figures.
+
+Their functions take a report's content, a `reports.report_data.ReportData`.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from parking_exp.figure_style import SectionFigure
+
+Row = Mapping[str, Any]
+"""Heading in CSV -> value."""
+
+
+def words(value: Any) -> str:
+    """Write a name or a few words."""
+    return "" if value is None else str(value)
+
+
+class Column(NamedTuple):
+    """A column that people read.
+
+    Attributes:
+        key: of its value in a row.
+        form: writes the value, empty where nothing is known.
+        of_row: returns the value, where it is made of several of a row; the page sorts by that of
+            `key`.
+        numeric: whether it shows numbers.
+        cell: key of the id of the cell that it names.
+        given: whether it is a condition, not a result: the caption has it where it is the same in
+            every row.
+        note: what the caption says of it, without a full stop.
+        paper: whether LaTeX has it, too.
+    """
+
+    title: str
+    key: str
+    form: Callable[[Any], str] = words
+    of_row: Callable[[Row], Any] | None = None
+    numeric: bool = True
+    cell: str | None = None
+    given: bool = False
+    note: str = ""
+    paper: bool = True
+
+    def write(self, row: Row) -> str:
+        """Return what it shows of a row."""
+        value = row.get(self.key) if self.of_row is None else self.of_row(row)
+        return self.form(value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a report."""
+
+    name: str  # of its files; unique
+    rows: Sequence[Row]  # all values
+    # What people read, see `without_constants`. Without any, the table is for CSV alone.
+    columns: Sequence[Column] = ()
+    caption: str = ""
+    latex: bool = False  # whether it is written as LaTeX, too
+    folded: bool = False  # whether the page folds it away
+
+    @property
+    def readable(self) -> bool:
+        """Whether there is something to read."""
+        return bool(self.rows and self.columns)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a report: paragraphs, tables and figures. It is left out where it has none."""
+
+    id: str
+    title: str
+    text: Callable[[Any], Iterable[str]] = lambda report: ()
+    tables: Sequence[Callable[[Any], Iterable[Table]]] = ()
+    figures: Sequence[SectionFigure] = ()
+
+
+def cell_record(cell: Any) -> dict[str, Any]:
+    """Return the columns of a row that name its cell."""
+    return {"cell": cell.id, "label": cell.label}
