@@ -69,7 +69,7 @@ def decode_setting(text: str | None) -> Setting:
     if text in ("True", "False"):
         return text == "True"
     if text.startswith('"'):
-        with suppress(ValueError):  # it was cut, or is of an earlier version
+        with suppress(ValueError):  # it only begins with a quotation mark
             return str(json.loads(text))
     for number in (int, float):
         try:

@@ -53,7 +53,7 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
         for run in cell.done.to_dict("records"):
             seed = run["seed"]
             episodes = evaluations.final.get(run["run_id"])
-            n_expected = finite_or_none(run["n_scenes"]) or 0  # early exports do not have it
+            n_expected = finite_or_none(run["n_scenes"]) or 0  # none if a config is damaged
             if episodes is None or len(episodes) < n_expected:
                 without_outcomes.append(seed)
             elif _contradicts(run["success_rate"], episodes["outcome"]):

@@ -44,7 +44,7 @@ def find_evaluations(run_dir: Path) -> list[Path]:
 
 
 def has_hashes(run_dir: Path) -> bool:
-    """Return whether a run's files can be checked, which those of earlier versions can't."""
+    """Return whether a run's files can be checked; if `result.json` is damaged they can't."""
     return isinstance(read_object(run_dir / RESULT_FILE).get(HASHES), dict)
 
 

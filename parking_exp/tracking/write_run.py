@@ -165,11 +165,7 @@ def _find(
     own_id = tags.get(OUTPUT_ID)  # None in the output directory's own store
     found: Run | None = None
     earlier = []
-    runs = store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'")
-    if not runs:  # or it was sent by an earlier version, whose keys were others
-        same_seed = store.search([experiment_id], f"tags.seed = '{tags['seed']}'")
-        runs = [run for run in same_seed if run.data.tags.get("run_dir") == tags["run_dir"]]
-    for run in runs:
+    for run in store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'"):
         run_dir = store.run_dir(run)
         owner = run.data.tags.get(OUTPUT_ID)
         if run_dir is None or run.info.lifecycle_stage == "deleted" or owner not in (None, own_id):

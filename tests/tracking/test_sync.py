@@ -29,7 +29,6 @@ from support.tracked_runs import finish, finished_run, rows, written_run
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.file_hashes import write_summary
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import provenance_tags
@@ -339,19 +338,6 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         assert artifacts(client, directory.run_id) == [
             "checkpoint/model.zip", "config.yaml", "episodes.csv", "metrics.jsonl"
         ]  # fmt: skip
-
-
-def test_a_run_that_was_sent_under_another_key_is_found_by_its_directory(output_dir):
-    directory = finished_run(output_dir, started_ms=1234567)
-    sync(directory)
-    run_id = directory.run_id
-    store(output_dir).set_tag(run_id, "run_key", "0123456789")
-    evaluation = directory.path / "evaluations" / "new"
-    evaluation.mkdir(parents=True)
-    write_summary(evaluation, {"episodes": 1})
-    sync(directory)
-    assert [run.info.run_id for run in store(output_dir).search_runs(["1"])] == [run_id]
-    assert stored_run(directory).data.tags["run_key"] == directory.config().run_key
 
 
 def test_a_directory_that_can_not_be_read_keeps_no_other_run_from_the_store(output_dir):
