@@ -26,7 +26,7 @@ from omegaconf.errors import (
 
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.constructor_arguments import argument_hint
-from parking_exp.config.grid import MAX_RUNS, Block, Point, check_blocks, expand_points, seeds_of
+from parking_exp.config.grid import MAX_RUNS, Block, Point, expand_points, read_blocks, seeds_of
 from parking_exp.config.hydra_settings import check_hydra_overrides, check_hydra_settings
 from parking_exp.config.overrides import (
     axes_of,
@@ -192,7 +192,7 @@ def _runs(
         raise ConfigError("seeds: there is no such key; leave it out, this command takes no seeds")
     blocks: list[Block] = []
     if "seeds" in base:  # a report's cells are labels
-        blocks = check_blocks(_container(base.cells))
+        blocks = read_blocks(_container(base.cells))
 
     seeds = _pop_seeds(axes, _container(base.get("seeds")))
     is_swept = any("seed" in block for block in blocks)

@@ -75,12 +75,14 @@ def class_path(value: Any) -> Any:
     return value.get("_target_") if isinstance(value, Mapping) else value
 
 
-def check_arguments(run: RunConfig) -> Iterator[str]:
+def argument_problems(run: RunConfig) -> Iterator[str]:
     """Yield what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
     bases = BASES if run.is_trained else {"algorithm": SCRIPTED_POLICY}
     for key, base in bases.items():
         section = getattr(run, key)
-        problems = list(_check_target(key, {"_target_": section.target, **section.arguments}, base))
+        problems = list(
+            _target_problems(key, {"_target_": section.target, **section.arguments}, base)
+        )
         yield from problems
         if problems or not isinstance(section, AlgorithmConfig):
             continue
@@ -89,19 +91,19 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
             continue
         # All features suit the policies of the known algorithms.
         if section.target not in KNOWN_ARGUMENTS or section.arguments.get("policy_kwargs"):
-            yield from _check_policy(section, import_object(section.target))
+            yield from _policy_problems(section, import_object(section.target))
     if run.is_trained and run.buffer.demonstrations:
-        yield from _check_demonstrations(run.buffer, run.env)
+        yield from _demonstration_problems(run.buffer, run.env)
     for number, callback in enumerate(run.callbacks or ()):
-        yield from _check_target(f"callbacks.{number}", callback, CALLBACK)
+        yield from _target_problems(f"callbacks.{number}", callback, CALLBACK)
     for number, tracker in enumerate(run.tracking.trackers or ()):
-        yield from _check_target(f"tracking.trackers.{number}", tracker, TRACKER)
+        yield from _target_problems(f"tracking.trackers.{number}", tracker, TRACKER)
 
 
-def _check_demonstrations(buffer: BufferConfig, env: Any) -> Iterator[str]:
-    """Check the buffer and the policy of demonstrations."""
+def _demonstration_problems(buffer: BufferConfig, env: Any) -> Iterator[str]:
+    """Yield what is wrong with the buffer and the policy of demonstrations."""
     key = "buffer.demonstrator"
-    problems = list(_check_target(key, buffer.demonstrator, SCRIPTED_POLICY))
+    problems = list(_target_problems(key, buffer.demonstrator, SCRIPTED_POLICY))
     if not problems:
         policy = import_object(class_path(buffer.demonstrator))
         problems = [f"{key}: {problem}" for problem in policy.problems(env)]
@@ -148,8 +150,8 @@ def argument_hint(key: str, node: Mapping[str, Any], of_options: str) -> str:
     return f"; write ++{key}=VALUE to add it"
 
 
-def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator[str]:
-    """Check the features, and `policy_kwargs` against the policy's own constructor."""
+def _policy_problems(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator[str]:
+    """Yield what is wrong with the features and with `policy_kwargs`, the policy's arguments."""
     key = "algorithm.policy_kwargs"
     given = algorithm.arguments.get("policy_kwargs") or {}
     policy = policy_class(algorithm_class)
@@ -167,7 +169,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
 
     if policy is None:
         return
-    problems = list(_check_call(key, policy, given))
+    problems = list(_call_problems(key, policy, given))
     yield from problems
     if problems:
         return
@@ -175,7 +177,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
         arguments = given.get(f"{name}_kwargs") or {}
         target = class_path(given.get(f"{name}_class", default))
         node = {**arguments, "_target_": target}
-        yield from _check_target(f"{key}.{name}_kwargs", node, partial=True)
+        yield from _target_problems(f"{key}.{name}_kwargs", node, partial=True)
 
 
 def _extractor_problem(algorithm: AlgorithmConfig, given: Mapping[str, Any]) -> str | None:
@@ -202,18 +204,19 @@ def _features_problem(algorithm: AlgorithmConfig, policy: type | None) -> str | 
     return None
 
 
-def _check_target(
+def _target_problems(
     key: str, value: Any, base: str | None = None, *, partial: bool = False
 ) -> Iterator[str]:
-    """Check a dotted path, or a node with a `_target_` and its arguments; the class must have the
-    base.
+    """Yield what is wrong with a dotted path, or with a node of a `_target_` and its arguments.
+
+    The class must have the base.
     """
     target = class_path(value)
     given = {}
     if isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
     if base != SCRIPTED_POLICY and given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
-        yield from _check_parameters(key, target.rpartition(".")[2], {}, given, is_open=True)
+        yield from _parameter_problems(key, target.rpartition(".")[2], {}, given, is_open=True)
         return
     assignment = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
@@ -225,20 +228,20 @@ def _check_target(
         yield f"{assignment} is not a subclass of {base}"
     elif isinstance(value, Mapping):
         gets_more = partial or bool(value.get("_partial_")) or "_args_" in value
-        yield from _check_call(key, call, given, partial=gets_more)
+        yield from _call_problems(key, call, given, partial=gets_more)
 
 
-def _check_call(
+def _call_problems(
     key: str, call: Any, given: Mapping[str, Any], *, partial: bool = False
 ) -> Iterator[str]:
-    """Check the arguments of a call; a `partial` call gets more later."""
+    """Yield what is wrong with the arguments of a call; a `partial` call gets more later."""
     parameters, is_open = _parameters(call)
-    yield from _check_parameters(
+    yield from _parameter_problems(
         key, getattr(call, "__name__", ""), parameters, given, is_open=is_open, partial=partial
     )
 
 
-def _check_parameters(
+def _parameter_problems(
     key: str,
     class_name: str,
     parameters: Mapping[str, inspect.Parameter],
@@ -247,7 +250,7 @@ def _check_parameters(
     is_open: bool = False,
     partial: bool = False,
 ) -> Iterator[str]:
-    """Check arguments against parameters; an `is_open` call takes others, too."""
+    """Yield which arguments do not fit the parameters; an `is_open` call takes others, too."""
     # Entries of a list have its name and a number.
     set_by_run = SET_BY_RUN.get(key.rstrip(".0123456789"), set())
     limits = CLASS_LIMITS.get(class_name, LIMITS)
@@ -266,9 +269,9 @@ def _check_parameters(
         elif is_class and value is not None and not is_target:
             yield f"{path}={value!r} is not a class; give a dotted path or a node with a _target_"
         elif is_target and (is_class or isinstance(value, Mapping)):
-            yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=is_class)
+            yield from _target_problems(path, value, CLASS_ARGUMENTS.get(name), partial=is_class)
         elif name in settable or name in limits:  # a class that takes others passes them on
-            yield from _check_value(path, name, value, settable.get(name), limits)
+            yield from _value_problems(path, name, value, settable.get(name), limits)
     if partial:
         return
     for name, parameter in settable.items():
@@ -276,14 +279,14 @@ def _check_parameters(
             yield f"{key}.{name} is missing"
 
 
-def _check_value(
+def _value_problems(
     key: str,
     name: str,
     value: Any,
     parameter: inspect.Parameter | None,
     limits: Mapping[str, Any],
 ) -> Iterator[str]:
-    """Check a value against its range, or else its annotation where that is a plain type."""
+    """Yield that a value is out of its range or, without a range, is not of its annotated type."""
     annotation = Any if parameter is None else parameter.annotation
     types = {annotation}
     if get_origin(annotation) not in CHECKED_TYPES:

@@ -94,7 +94,7 @@ def _check_labels(given: Sequence[str], listed: set[str], experiment: str) -> No
             raise ConfigError(f"label={label}: experiment={experiment} has no such label{hint}")
 
 
-def check_blocks(value: Any) -> list[Block]:
+def read_blocks(value: Any) -> list[Block]:
     """Return `cells` if it is a list of mappings."""
     blocks = value or []
     if not isinstance(blocks, list) or not all(block and type(block) is dict for block in blocks):

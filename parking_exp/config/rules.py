@@ -17,16 +17,17 @@ MAX_ROUND = 1000
 """The most steps of each env from one round of updates to the next."""
 
 
-def check_rules(run: RunConfig) -> Iterator[str]:
+def rule_problems(run: RunConfig) -> Iterator[str]:
     """Yield a sentence for each rule between keys that the config violates."""
     yield from run.env.problems()
     if run.init_buffer and run.init is None:
         yield "init_buffer=true needs init=RUN, whose replay buffer it takes"
-    for check in (_check_buffer, _check_algorithm, _check_evaluation):
-        yield from check(run)
+    yield from _buffer_problems(run)
+    yield from _algorithm_problems(run)
+    yield from _evaluation_problems(run)
 
 
-def _check_buffer(run: RunConfig) -> Iterator[str]:
+def _buffer_problems(run: RunConfig) -> Iterator[str]:
     her_options = [name for name in HER_OPTIONS if name in run.buffer.arguments]
     if her_options and run.buffer.arguments.get("goal_selection_strategy", "future") is None:
         yield (
@@ -43,11 +44,11 @@ def _check_buffer(run: RunConfig) -> Iterator[str]:
                 )
     longest = run.env.for_training().episode_steps()
     if longest is not None and run.is_trained:
-        yield from check_lengths(run, longest)
+        yield from length_problems(run, longest)
     yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
 
 
-def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
+def length_problems(run: RunConfig, longest: int) -> Iterator[str]:
     """Yield a sentence for each key that is too small for the longest training episode."""
     starts = run.algorithm.arguments.get("learning_starts")
     buffer = run.buffer.arguments
@@ -76,7 +77,7 @@ def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
         )
 
 
-def check_tasks(runs: Iterable[RunConfig]) -> Iterator[str]:
+def task_problems(runs: Iterable[RunConfig]) -> Iterator[str]:
     """Yield what is wrong with the environments; making each of them may take seconds."""
     tasks: dict[str, Task] = {}
     for run in runs:
@@ -88,12 +89,12 @@ def check_tasks(runs: Iterable[RunConfig]) -> Iterator[str]:
             if problems:
                 return
         if run.is_trained and run.env.for_training().episode_steps() is None:
-            yield from check_lengths(run, tasks[key].episode_steps)
-        yield from _check_noise(run, tasks[key])
+            yield from length_problems(run, tasks[key].episode_steps)
+        yield from _noise_problems(run, tasks[key])
         tasks[key].close()
 
 
-def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
+def _noise_problems(run: RunConfig, task: Task) -> Iterator[str]:
     noise = run.algorithm.arguments.get("action_noise")
     if noise is None:
         return
@@ -112,7 +113,7 @@ def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
             )
 
 
-def _check_algorithm(run: RunConfig) -> Iterator[str]:
+def _algorithm_problems(run: RunConfig) -> Iterator[str]:
     algorithm = run.algorithm
     train_freq = algorithm.arguments.get("train_freq")
     if run.is_trained and run.total_timesteps == 0:
@@ -146,7 +147,7 @@ def update_ratio_warning(run: RunConfig) -> str | None:
     return warning
 
 
-def check_update_ratio(run: RunConfig) -> Iterator[str]:
+def update_ratio_problems(run: RunConfig) -> Iterator[str]:
     """Yield a sentence if no round of updates has the ratio that the config asks for."""
     train_freq, gradient_steps = run.update_rounds()
     asked = f"updates_per_step={run.updates_per_step}"
@@ -184,7 +185,7 @@ def check_update_ratio(run: RunConfig) -> Iterator[str]:
         )
 
 
-def _check_evaluation(run: RunConfig) -> Iterator[str]:
+def _evaluation_problems(run: RunConfig) -> Iterator[str]:
     evaluation = run.evaluation
     final = evaluation.final_n_scenes
     for name in ("n_scenes", "video_episodes"):

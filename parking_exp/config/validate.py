@@ -12,8 +12,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
-from parking_exp.config.constructor_arguments import check_arguments
-from parking_exp.config.rules import check_rules, check_tasks, check_update_ratio
+from parking_exp.config.constructor_arguments import argument_problems
+from parking_exp.config.rules import rule_problems, task_problems, update_ratio_problems
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError, did_you_mean, first_line
 from parking_exp.tasks.registry import TASKS
@@ -53,12 +53,12 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     runs = []
     for config in configs:
         runs.append(parse(RunConfig, config, without=SWEEP_KEYS))
-        refuse(check_rules(runs[-1]))
-    refuse(check_tasks(runs))
+        refuse(rule_problems(runs[-1]))
+    refuse(task_problems(runs))
     for run in runs:
-        refuse(check_arguments(run))
+        refuse(argument_problems(run))
         if run.is_trained:
-            refuse(check_update_ratio(run))
+            refuse(update_ratio_problems(run))
     return runs
 
 

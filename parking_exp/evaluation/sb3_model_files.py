@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 from parking_exp.config.allowlist import ALLOWED
 from parking_exp.config.compose import compose_configs
-from parking_exp.config.constructor_arguments import check_arguments
+from parking_exp.config.constructor_arguments import argument_problems
 from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
@@ -88,7 +88,7 @@ def find_agent_in_file(
     plain: Any = OmegaConf.to_container(recipe, resolve=True)
     plain.update(env=env, algorithm=arguments, output_dir=str(output_dir))
     config = check(RunConfig, {key: plain[key] for key in plain if key not in SWEEP_KEYS})
-    refuse(check_arguments(config))
+    refuse(argument_problems(config))
 
     digest = short_hash({"file": sha256(path), "env": env, "algorithm": arguments})
     folder = output_dir / SB3_EVALUATIONS / f"{path.stem}-{digest}"

@@ -23,7 +23,7 @@ class LocalLauncher:
     """Processes of this machine, `n_jobs` at a time (None: one per core)."""
 
     def __init__(self, n_jobs: int | None) -> None:
-        self.n_jobs = check_n_jobs(n_jobs) or len(cores())
+        self.n_jobs = valid_n_jobs(n_jobs) or len(cores())
 
     def train(self, paths: Sequence[Path]) -> None:
         """Train runs; raises as `run_workers`."""
@@ -40,7 +40,7 @@ class LocalLauncher:
         run_workers(work, min(self.n_jobs, len(paths)))
 
 
-def check_n_jobs(n_jobs: int | None) -> int | None:
+def valid_n_jobs(n_jobs: int | None) -> int | None:
     """Return `hydra.launcher.n_jobs`, or raise ConfigError for an invalid one."""
     if n_jobs is not None and (type(n_jobs) is not int or n_jobs <= 0):
         raise ConfigError(

@@ -15,7 +15,7 @@ from typing import Any
 from parking_exp.config.paths import refuse_links
 from parking_exp.errors import ConfigError, FailedRunError, first_line, plural
 from parking_exp.runs.run_state import read_state
-from parking_exp.sweeps.local import check_n_jobs
+from parking_exp.sweeps.local import valid_n_jobs
 from parking_exp.sweeps.supervisor import GRACE_S, supervise_job
 from parking_exp.terminal import say
 from parking_exp.training.signals import stop_on_signal
@@ -45,7 +45,7 @@ class SlurmLauncher:
         if not isinstance(folder, str | None):
             raise ConfigError(f"hydra.launcher.folder={folder} is not a path")
         self.folder = Path(folder) if folder else None
-        self.n_jobs = check_n_jobs(n_jobs)
+        self.n_jobs = valid_n_jobs(n_jobs)
         self.parameters = {key: value for key, value in parameters.items() if value is not None}
         self._submitter(Path())  # before anything is on disk
 
