@@ -27,7 +27,7 @@ class Column(NamedTuple):
         of_row: returns the value, where it is made of several of a row; the page sorts by that of
             `key`.
         numeric: whether it shows numbers.
-        cell: key of the id of the cell that it names.
+        id_key: key, in a row, of the id of the cell whose label it shows.
         given: whether it is a condition, not a result: the caption has it where it is the same in
             every row.
         note: what the caption says of it, without a full stop.
@@ -39,7 +39,7 @@ class Column(NamedTuple):
     form: Callable[[Any], str] = words
     of_row: Callable[[Row], Any] | None = None
     numeric: bool = True
-    cell: str | None = None
+    id_key: str | None = None
     given: bool = False
     note: str = ""
     paper: bool = True

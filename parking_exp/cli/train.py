@@ -22,7 +22,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
     from parking_exp.sweeps.sweep import plan, sweep
 
     runs = compose_runs("config", overrides, extra_config_dir)
-    first = runs[0].cell  # all runs have the same keys of the sweep
+    first = runs[0].cell_config  # all runs have the same keys of the sweep
     options = parse(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
     planned = plan(runs, options.retry)
     for warning in dict.fromkeys(update_ratio_warning(run.config) for run in planned):

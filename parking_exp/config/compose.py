@@ -55,7 +55,7 @@ class ComposedRun:
     the launcher.
     """
 
-    cell: DictConfig  # shared by all runs of the cell
+    cell_config: DictConfig  # shared by all runs of the cell
     seed: int | None = None  # None: the config's own
     options: Mapping[str, str] = field(default_factory=dict)  # group -> option
     launcher: str = "local"
@@ -65,19 +65,19 @@ class ComposedRun:
     def config(self) -> DictConfig:
         """The config of the run."""
         if self.seed is None:
-            return self.cell
-        return cast(DictConfig, OmegaConf.merge(self.cell, {"seed": self.seed}))
+            return self.cell_config
+        return cast(DictConfig, OmegaConf.merge(self.cell_config, {"seed": self.seed}))
 
     def with_values(self, values: Mapping[str, Any]) -> "ComposedRun":
         """Return a copy with other values of keys, in 3 ms, where Hydra takes 0.1 to 0.3 s; `+KEY`
         adds a key.
         """
-        cell = copy.deepcopy(self.cell)
+        config = copy.deepcopy(self.cell_config)
         for key, value in values.items():
             OmegaConf.update(
-                cell, key.lstrip("+"), value, merge=True, force_add=key.startswith("+")
+                config, key.lstrip("+"), value, merge=True, force_add=key.startswith("+")
             )
-        return replace(self, cell=cell)
+        return replace(self, cell_config=config)
 
 
 def compose(*overrides: str, config_dir: str | Path | None = None) -> RunConfig:
@@ -176,7 +176,7 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
     def compose_point(lines: Point) -> ComposedRun:
         run = compose_lines(lines)
         if any(line.lstrip("+").startswith("env.level=") for line in lines):
-            _check_level(run.cell.env)
+            _check_level(run.cell_config.env)
         return run
 
     return compose_point
@@ -187,7 +187,7 @@ def _runs(
 ) -> list[ComposedRun]:
     """Compose every cell of an experiment with its first seed, then with its second, and so on."""
     experiment = [f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes]
-    base = compose_point(tuple(experiment)).cell
+    base = compose_point(tuple(experiment)).cell_config
     if "seeds" in axes and "seeds" not in base:
         raise ConfigError("seeds: there is no such key; leave it out, this command takes no seeds")
     blocks: list[Block] = []
@@ -204,7 +204,7 @@ def _runs(
 
     def has(key: str, point: Point) -> bool:
         section, _, name = key.rpartition(".")
-        node = OmegaConf.select(compose_point(point).cell, section) if section else base
+        node = OmegaConf.select(compose_point(point).cell_config, section) if section else base
         return isinstance(node, DictConfig) and name in node
 
     all_seeds: list[int] | list[None] = seeds or [None]
@@ -217,7 +217,7 @@ def _runs(
     for point in all_points:
         run = compose_point(point)
         # Blocks may overlap. Text tells all values apart, as `to_yaml` does in 40 times the time.
-        cells[str(run.cell)] = run
+        cells[str(run.cell_config)] = run
 
     runs = []
     for seed in all_seeds:

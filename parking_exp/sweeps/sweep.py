@@ -78,7 +78,7 @@ class PlannedRun:
 def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[PlannedRun]:
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
     # A cell is checked once for all its seeds.
-    unique = {id(run.cell): run.cell for run in composed}
+    unique = {id(run.cell_config): run.cell_config for run in composed}
     checked = map(name_source, validate_all(unique.values()))
     configs = dict(zip(unique, checked, strict=True))
     folders = {cell: config.run_dir.parent for cell, config in configs.items()}
@@ -92,10 +92,10 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
 
     runs: dict[Path, PlannedRun] = {}
     for run in composed:
-        config = configs[id(run.cell)]
+        config = configs[id(run.cell_config)]
         if run.seed is not None:
             config = config.model_copy(update={"seed": run.seed})
-        folder = folders[id(run.cell)]
+        folder = folders[id(run.cell_config)]
         path = folder / f"seed={config.seed}"
         if path not in runs:
             name = _cell_name(folder)

@@ -68,10 +68,10 @@ class Search:
     @cached_property
     def request(self) -> TuneRequest:
         """The keys of scripts/tune.py, checked."""
-        cell = self.compose({}).cell
-        if "search" not in cell:
+        config = self.compose({}).cell_config
+        if "search" not in config:
             raise ConfigError("search is missing; write search=NAME, e.g. search=smoke")
-        return parse(TuneRequest, {key: cell[key] for key in TuneRequest.model_fields})
+        return parse(TuneRequest, {key: config[key] for key in TuneRequest.model_fields})
 
     @cached_property
     def base(self) -> RunConfig:
@@ -85,7 +85,7 @@ class Search:
 
     def config(self, changes: Mapping[str, Any]) -> RunConfig:
         """Return the checked config of a trial; raises ConfigError if it can't run."""
-        plain: Any = OmegaConf.to_container(self.compose(changes).cell, resolve=True)
+        plain: Any = OmegaConf.to_container(self.compose(changes).cell_config, resolve=True)
         for key in TuneRequest.model_fields:
             del plain[key]
         config = validate(plain)
@@ -125,7 +125,7 @@ class Search:
         run = self.compose({})
         values = {}
         for key in self.request.search.space:
-            values[key] = run.options.get(key) or OmegaConf.select(run.cell, key.lstrip("+"))
+            values[key] = run.options.get(key) or OmegaConf.select(run.cell_config, key.lstrip("+"))
         return open_study(self.folder, self.request.search, self.base, values, self._hash_options())
 
     def _hash_options(self) -> dict[str, str]:

@@ -180,7 +180,7 @@ def test_a_cell_that_two_blocks_write_in_different_ways_is_one_cell(tmp_path):
     )
     runs = compose_runs("config", [f"experiment={path}"])
     expected = [(gamma, seed) for seed in (0, 1) for gamma in (0.9, 0.95, 0.99)]
-    assert [(run.cell.algorithm.gamma, run.seed) for run in runs] == expected
+    assert [(run.cell_config.algorithm.gamma, run.seed) for run in runs] == expected
     config = compose(f"experiment={path}", "algorithm.gamma=0.95", "seed=3")
     assert (config.algorithm.arguments["gamma"], config.seed) == (0.95, 3)
 

@@ -63,9 +63,9 @@ def text_column(
     return Column(title, key, form, numeric=False, paper=paper)
 
 
-def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
+def cell_column(title: str = "Cell", id_key: str = "cell", label: str = "label") -> Column:
     """Return the column of the labels of cells."""
-    return Column(title, label, numeric=False, cell=cell, given=True)
+    return Column(title, label, numeric=False, id_key=id_key, given=True)
 
 
 def interval_column(
