@@ -24,6 +24,7 @@ from parking_exp.statistics.survival import (
     SurvivalCurve,
     kaplan_meier,
     normalised_area,
+    ratio_of_times,
     steps_to,
 )
 
@@ -42,6 +43,7 @@ __all__ = [
     "main_effects",
     "mean_interval",
     "normalised_area",
+    "ratio_of_times",
     "steps_to",
     "unseen_share",
     "wilson_interval",

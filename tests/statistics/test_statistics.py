@@ -24,6 +24,7 @@ from parking_exp.statistics import (
     main_effects,
     mean_interval,
     normalised_area,
+    ratio_of_times,
     steps_to,
     unseen_share,
     wilson_interval,
@@ -257,6 +258,20 @@ def test_kaplan_meier_where_no_run_or_all_have_reached():
     assert (never.reached, never.median) == ((0.0,), None)
     curve = kaplan_meier([10, 20, 30], [True] * 3)
     assert (curve.reached[2], curve.median) == (1.0, 20.0)
+
+
+def test_the_ratio_of_times_is_the_median_of_all_pairs_between_the_third_of_25_from_each_end():
+    # Five against five: the tabled two-sided 5 % point of Mann and Whitney's U is 2.
+    times = np.array([1, 2, 3, 4, 5])
+    others = np.array([1, 10, 100, 1000, 10000])
+    assert ratio_of_times(times, others) == pytest.approx((0.03, 0.0003, 3.0))
+    times_with_a_limit = np.array([1, 2, 3, 4, math.inf])
+    assert ratio_of_times(times_with_a_limit, others) == pytest.approx((0.1, 0.0003, math.inf))
+
+
+def test_three_times_against_three_have_no_ratio():
+    with pytest.raises(ValueError, match="3 and 3 times are too few"):
+        ratio_of_times(np.array([1, 2, 3]), np.array([4, 5, 6]))
 
 
 # Curves
