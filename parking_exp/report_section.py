@@ -22,12 +22,12 @@ class Column(NamedTuple):
     """A column that people read.
 
     Attributes:
-        key: of its value in a row.
+        key: the key of its value in a row.
         form: writes the value, empty where nothing is known.
         of_row: returns the value, where it is made of several of a row; the page sorts by that of
             `key`.
         numeric: whether it shows numbers.
-        id_key: key, in a row, of the id of the cell whose label it shows.
+        id_key: the key, in a row, of the id of the cell whose label it shows.
         given: whether it is a condition, not a result: the caption has it where it is the same in
             every row.
         note: what the caption says of it, without a full stop.

@@ -47,7 +47,7 @@ def check_trust(config: RunConfig, source: Path, option: str = "trust=true") -> 
     """Refuse a stored config that would execute anything but the classes of the allow-list.
 
     Args:
-        config: as stored in the file `source`.
+        config: what the file `source` holds.
         option: how a user allows it.
 
     Raises:

@@ -84,7 +84,7 @@ def compose(*overrides: str, config_dir: str | Path | None = None) -> RunConfig:
     """Return the checked config of one run: `compose("experiment=smoke", "seed=1")`, for `train`.
 
     Args:
-        overrides: as on the command line.
+        overrides: the words of a command line.
         config_dir: a directory of your own options, as `--config-dir`.
 
     Raises:
@@ -119,7 +119,7 @@ def compose_runs(
 
     Args:
         config_name: file in `conf/`.
-        overrides: in Hydra's syntax, and `experiment=PATH.yaml`.
+        overrides: words in Hydra's syntax, and `experiment=PATH.yaml`.
         extra_config_dir: Hydra's `--config-dir`, a directory of the user's own options.
 
     Raises:

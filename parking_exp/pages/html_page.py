@@ -24,7 +24,7 @@ def render_html(
 
     Args:
         template: a file `NAME.html.j2` with `NAME.css` and `NAME.js` beside it.
-        filters: of the template, beside Jinja's and `base64`.
+        filters: the template's filters, beside Jinja's and `base64`.
         values: that the template names.
     """
     environment = Environment(

@@ -47,7 +47,7 @@ def build_report(
     """Return the content of a report.
 
     Args:
-        results: of the experiments.
+        results: the results of the experiments.
         experiments: their names.
         cells: labels, names, patterns and conditions, see `cell_selection.choose_cells`; none: all.
         baseline: label of the cell that the others are compared with.

@@ -34,8 +34,8 @@ class MainEffect:
         complete: whether all combinations are there; else levels are averaged over different cells.
         largest: the highest mean minus the lowest, with an interval corrected as p; None with a
             single level.
-        p: of that difference, corrected (Bonferroni) over all pairs of levels; None where
-            combinations are missing.
+        p: the p value of that difference, corrected (Bonferroni) over all pairs of levels; None
+            where combinations are missing.
     """
 
     factor: str

@@ -39,7 +39,7 @@ def launcher_of(
     settings checked.
 
     Args:
-        runs: of one sweep.
+        runs: the runs of one sweep.
         extra_config_dir: Hydra's `--config-dir`.
         connect: whether to connect to the cluster now, before anything is on disk.
 

@@ -28,8 +28,8 @@ class SlurmLauncher:
 
     Args:
         n_jobs: how many at a time; None: as many as the cluster takes.
-        folder: of submitit's files; None: `.submitit` in the output directory.
-        parameters: of submitit's `AutoExecutor.update_parameters`.
+        folder: the folder of submitit's files; None: `.submitit` in the output directory.
+        parameters: arguments of submitit's `AutoExecutor.update_parameters`.
 
     Raises:
         ConfigError: submitit refuses the parameters, or finds no Slurm.

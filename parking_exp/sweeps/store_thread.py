@@ -20,7 +20,7 @@ def syncing(find: Callable[[], Sequence[Path]], writer: StoreWriter) -> Iterator
 
     Args:
         find: returns the run directories that exist now.
-        writer: of their stores.
+        writer: the writer of their stores.
     """
     if not writer.stores:
         yield

@@ -44,7 +44,7 @@ def supervise(
         path: the run directory, with its config.
         stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after
             GRACE_S.
-        cores: for the worker, with a thread each; none: all.
+        cores: the worker's cores, with a thread each; none: all.
         device: CUDA device for the worker; None: all.
         start_method: how its process starts.
     """

@@ -18,12 +18,12 @@ class StoreWriter:
     """Writes runs to their stores, in the process that the user started.
 
     Args:
-        configs: of the runs, or of some that have the same stores.
+        configs: all configs of the runs, or some that name the same stores.
         say: shows a line.
 
     Attributes:
-        stores: of the runs.
-        problems: of the runs whose last sync failed, with the reasons.
+        stores: the stores of the runs.
+        problems: the reason for each run whose last sync failed.
     """
 
     def __init__(self, configs: Iterable[RunConfig], say: Callable[[str], None]) -> None:

@@ -38,8 +38,8 @@ class RunSnapshot:
         files: see `files_in_store`.
         tags: see `tags_in_store`.
         last_tags: those that are written once the store has everything else.
-        first_name: of the run in MLflow's UI, until it is done.
-        last_name: with its success rate, once it is done.
+        first_name: the run's name in MLflow's UI, until it is done.
+        last_name: its name once it is done, with its success rate.
     """
 
     config: RunConfig

@@ -81,10 +81,10 @@ def write_new_run(
     Nobody reads such a store: its runs begin with their last tags and names.
 
     Args:
-        directory: of the run.
+        directory: the run directory.
         store: that gets it.
-        uri: of the store, under the name that it is going to have.
-        experiment_ids: of the experiments that the store has; that of the run is added.
+        uri: the store's URI under the name that it is going to have.
+        experiment_ids: ids of the experiments that the store has; the run's is added.
     """
     _refuse_damage(directory)
     snapshot = take_snapshot(directory, store)

@@ -95,7 +95,7 @@ def open_study(
     """Return the study of a search; create it, with trial 0, if there is none.
 
     Args:
-        folder: of the experiment.
+        folder: the experiment's folder.
         base: the config that trials change.
         values: value of each key of the space in this config.
         option_keys: run key with each option that trials choose from.

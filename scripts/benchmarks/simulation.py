@@ -28,8 +28,8 @@ def stepping(
     """Compare steps per second with uniformly random actions; ended episodes are restarted.
 
     Args:
-        option: of the group `env`.
-        n_scenes: of our simulator; highway-env has one.
+        option: an option of the group `env`.
+        n_scenes: the number of scenes in our simulator; highway-env has one.
         rounds: number of measurements of each side.
         seconds_per_side: length of a measurement.
         seen: other vehicles in our observation; highway-env's has none.
