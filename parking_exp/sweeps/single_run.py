@@ -56,7 +56,7 @@ def _train(config: RunConfig) -> RunResult:
     if reason is not None:
         lines = [reason]
         follow_store(directory, config)
-        writer.sync_missing([directory])
+        writer.complete_stores([directory])
     result = directory.result()
     assert result is not None
     say(*lines, *_closing_lines(result, directory, writer))

@@ -34,7 +34,7 @@ def syncing(find: Callable[[], Sequence[Path]], writer: StoreWriter) -> Iterator
     finally:
         is_over.set()
         thread.join()
-        writer.sync_missing([RunDirectory(path) for path in find()])
+        writer.complete_stores([RunDirectory(path) for path in find()])
 
 
 def _watch(

@@ -60,7 +60,7 @@ class StoreWriter:
                 )
             self.problems[directory.path] = problem
 
-    def sync_missing(self, directories: Sequence[RunDirectory]) -> None:
+    def complete_stores(self, directories: Sequence[RunDirectory]) -> None:
         """Sync what the stores lack of some runs, and say if they still lack some."""
         for store in self.stores:
             problem = sync_problem(directories, store)
