@@ -14,6 +14,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from parking_exp.config.cell_labels import GROUPS
 from parking_exp.config.run_key import result_part
 from parking_exp.errors import ConfigError, FailedRunError, plural
 from parking_exp.runs.atomic_files import write_atomically, write_json
@@ -189,9 +190,8 @@ def _write_experiment(search: Search, winner: RetestedTrial, n_retested: int) ->
     config = result_part(search.config(winner.changes).plain())
     del config["seed"]
     options = search.compose(winner.changes).options
-    groups = ("env", "algorithm", "buffer")
     experiment = {
-        "defaults": [{f"override /{group}": options[group]} for group in groups],
+        "defaults": [{f"override /{group}": options[group]} for group in GROUPS],
         "experiment_name": f"tuned_{name}",
         **config,
     }

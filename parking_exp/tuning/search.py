@@ -9,6 +9,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from parking_exp.config.cell_labels import GROUPS
 from parking_exp.config.compose import ComposedRun, compose_runs, hydra_ready
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
@@ -53,15 +54,14 @@ class Search:
         Raises:
             ConfigError: it does not compose, or the overrides are a sweep.
         """
+        options = []
+        values = {}
+        for key, value in changes.items():
+            if key in GROUPS:
+                options.append(f"{key}={in_quotes(str(value))}")
+            else:
+                values[key] = value
         with _COMPOSING, hydra_ready():
-            groups = _compose_groups(tuple(self.overrides), self.extra_config_dir).options
-            options = []
-            values = {}
-            for key, value in changes.items():
-                if key in groups:
-                    options.append(f"{key}={in_quotes(str(value))}")
-                else:
-                    values[key] = value
             run = _compose_groups((*self.overrides, *options), self.extra_config_dir)
             return run.with_values(values)
 
@@ -133,10 +133,9 @@ class Search:
 
         It changes with the contents of the option's file.
         """
-        groups = self.compose({}).options
         keys = {}
         for group, dimension in self.request.search.space.items():
-            for option in dimension.ends if group in groups else []:
+            for option in dimension.ends if group in GROUPS else []:
                 config = self.config({group: option}).model_copy(update={"seed": 0})
                 keys[f"{group}={option}"] = config.run_key
         return keys
