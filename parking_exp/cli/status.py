@@ -17,7 +17,8 @@ from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import Name
-from parking_exp.errors import ParkingError, RunNotFoundError, StoreError, plural, suggestion
+from parking_exp.errors import ParkingError, RunNotFoundError, StoreError
+from parking_exp.phrases import plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_plans import delete_plan, never_began

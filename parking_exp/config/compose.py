@@ -38,13 +38,8 @@ from parking_exp.config.overrides import (
 )
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
-from parking_exp.errors import (
-    ConfigError,
-    ParkingError,
-    first_line,
-    one_line,
-    suggestion,
-)
+from parking_exp.errors import ConfigError, ParkingError, first_line, one_line
+from parking_exp.phrases import suggestion
 
 VERSION_BASE = "1.3"
 

@@ -16,7 +16,8 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.dotted_paths import import_object
-from parking_exp.errors import ConfigError, did_you_mean, suggestion
+from parking_exp.errors import ConfigError
+from parking_exp.phrases import did_you_mean, suggestion
 
 # Base classes of the sections' classes.
 BASES = {

@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from parking_exp.config.overrides import in_quotes
-from parking_exp.errors import ConfigError, suggestion
+from parking_exp.errors import ConfigError
+from parking_exp.phrases import suggestion
 
 Block = Mapping[str, Any]
 Point = tuple[str, ...]

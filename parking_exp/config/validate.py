@@ -15,7 +15,8 @@ from pydantic import BaseModel, ValidationError
 from parking_exp.config.constructor_arguments import argument_problems
 from parking_exp.config.rules import rule_problems, task_problems, update_ratio_problems
 from parking_exp.config.schema import RunConfig, SweepOptions
-from parking_exp.errors import ConfigError, did_you_mean, first_line
+from parking_exp.errors import ConfigError, first_line
+from parking_exp.phrases import did_you_mean
 from parking_exp.tasks.registry import TASKS
 
 Model = TypeVar("Model", bound=BaseModel)

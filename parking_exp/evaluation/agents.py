@@ -9,7 +9,8 @@ from pydantic import Field
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.schema import OutputConfig, RunConfig
-from parking_exp.errors import ModelError, RunNotFoundError, plural
+from parking_exp.errors import ModelError, RunNotFoundError
+from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import LATEST, find_run, find_runs_below
 from parking_exp.runs.run_files import CONFIG_FILE, read_config

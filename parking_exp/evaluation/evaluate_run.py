@@ -24,9 +24,10 @@ from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
 from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.dotted_paths import import_object
-from parking_exp.errors import ConfigError, VideoError, plural
+from parking_exp.errors import ConfigError, VideoError
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
 from parking_exp.evaluation.sb3_model_files import find_agent_in_file, is_model_file
+from parking_exp.phrases import plural
 from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.file_hashes import write_summary

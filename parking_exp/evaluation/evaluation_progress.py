@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 from rich.progress import Progress
 
-from parking_exp.errors import plural
+from parking_exp.phrases import plural
 from parking_exp.terminal import Screen
 
 

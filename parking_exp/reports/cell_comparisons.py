@@ -6,7 +6,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from parking_exp.config.cell_labels import Factor
-from parking_exp.errors import plural
+from parking_exp.phrases import plural
 from parking_exp.reports.report_data import CellSummary, Pair, Verdict
 from parking_exp.statistics import (
     Difference,

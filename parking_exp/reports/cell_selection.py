@@ -24,7 +24,8 @@ from parking_exp.config.cell_labels import (
     labels_from_factors,
 )
 from parking_exp.config.overrides import without_quotes
-from parking_exp.errors import ConfigError, suggestion
+from parking_exp.errors import ConfigError
+from parking_exp.phrases import suggestion
 
 CONFIG = "config."
 CONTRASTS = TypeAdapter(list[tuple[str, str]] | None)

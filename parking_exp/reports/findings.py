@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from parking_exp.config.cell_labels import display_setting
-from parking_exp.errors import quoted_label
+from parking_exp.phrases import quoted_label
 from parking_exp.reports.cell_comparisons import judge
 from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import CellSummary, Pair, ReportData

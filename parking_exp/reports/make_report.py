@@ -13,7 +13,8 @@ from filelock import FileLock
 from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.paths import default_uri, directory_path, refuse_links
-from parking_exp.errors import ConfigError, ResultsError, plural
+from parking_exp.errors import ConfigError, ResultsError
+from parking_exp.phrases import plural
 from parking_exp.report_section import Section
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import ReportData

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from parking_exp import __version__
 from parking_exp.config.cell_labels import Factor
-from parking_exp.errors import RunNotFoundError, plural
+from parking_exp.errors import RunNotFoundError
+from parking_exp.phrases import plural
 from parking_exp.reports import cell_selection, report_warnings
 from parking_exp.reports.cell_comparisons import choose_family, compare_levels, compare_pairs
 from parking_exp.reports.cell_selection import CellRuns

@@ -9,7 +9,8 @@ from pydantic import Field
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import ConfigModel
-from parking_exp.errors import ConfigError, did_you_mean
+from parking_exp.errors import ConfigError
+from parking_exp.phrases import did_you_mean
 
 SIMILAR = 0.75  # similarity from which on a key counts as misspelt
 

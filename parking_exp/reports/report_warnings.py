@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 
 from parking_exp.config.cell_labels import Setting, display_setting
-from parking_exp.errors import plural, quoted_label
+from parking_exp.phrases import plural, quoted_label
 from parking_exp.reports.report_data import ReportData
 from parking_exp.runs.run_state import STAGE_WORDS
 from parking_exp.tasks.registry import TRAINING_ONLY

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from parking_exp.errors import quoted_label
+from parking_exp.phrases import quoted_label
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.cell_summaries import RunEvaluations
 from parking_exp.results.frames import Results

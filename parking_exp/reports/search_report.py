@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from parking_exp.config_model import NAME
-from parking_exp.errors import ParkingError, first_line, plural
+from parking_exp.errors import ParkingError, first_line
+from parking_exp.phrases import plural
 from parking_exp.report_section import Column, Table
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData

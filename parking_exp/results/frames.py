@@ -13,7 +13,8 @@ import pandas as pd
 
 from parking_exp.config.cell_labels import FlatConfig, Setting
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
-from parking_exp.errors import ParkingError, ResultsError, suggestion
+from parking_exp.errors import ParkingError, ResultsError
+from parking_exp.phrases import suggestion
 from parking_exp.results.artifact_parsers import (
     CATEGORIES,
     CURVE,

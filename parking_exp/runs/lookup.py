@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from parking_exp.config.paths import directory_path, resolved
-from parking_exp.errors import OutputDirectoryError, RunNotFoundError, did_you_mean, plural
+from parking_exp.errors import OutputDirectoryError, RunNotFoundError
+from parking_exp.phrases import did_you_mean, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import STATUS_FILE
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from rich.table import Table
 
-from parking_exp.errors import quoted_label
+from parking_exp.phrases import quoted_label
 from parking_exp.runs.run_state import STAGES, RunState, by_cell, count_stages
 
 

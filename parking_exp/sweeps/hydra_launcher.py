@@ -16,7 +16,8 @@ from omegaconf import DictConfig, open_dict
 
 from parking_exp.config.compose import ComposedRun, hydra_ready, user_options
 from parking_exp.config.overrides import in_quotes
-from parking_exp.errors import ConfigError, first_line, plural
+from parking_exp.errors import ConfigError, first_line
+from parking_exp.phrases import plural
 from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.supervisor import supervise_job
 

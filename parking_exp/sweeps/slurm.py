@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from parking_exp.config.paths import refuse_links
-from parking_exp.errors import ConfigError, FailedRunError, first_line, plural
+from parking_exp.errors import ConfigError, FailedRunError, first_line
+from parking_exp.phrases import plural
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.local import valid_n_jobs
 from parking_exp.sweeps.supervisor import GRACE_S, supervise_job

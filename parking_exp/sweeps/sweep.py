@@ -18,8 +18,9 @@ from parking_exp.config.cell_labels import label_by_experiment, settings_of
 from parking_exp.config.compose import ComposedRun
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
-from parking_exp.errors import ConfigError, FailedRunError, plural
+from parking_exp.errors import ConfigError, FailedRunError
 from parking_exp.evaluation.initial_agents import name_source
+from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import STAGE_WORDS, RunState, count_stages, read_state

@@ -15,7 +15,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from parking_exp.errors import ConfigError, one_line, suggestion
+from parking_exp.errors import ConfigError, one_line
+from parking_exp.phrases import suggestion
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 
 # How ids of gymnasium-robotics begin.

@@ -14,7 +14,8 @@ from pathlib import Path
 from rich.progress import track
 
 from parking_exp.config.paths import ARTIFACTS, SQLITE
-from parking_exp.errors import StoreError, plural
+from parking_exp.errors import StoreError
+from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import console, say

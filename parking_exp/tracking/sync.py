@@ -10,7 +10,8 @@ from filelock import FileLock
 
 from parking_exp.config.paths import default_uri, is_same_store, resolved
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import StoreError, plural
+from parking_exp.errors import StoreError
+from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import STATUS_FILE

@@ -16,7 +16,8 @@ from rich.table import Table
 
 from parking_exp.config.cell_labels import GROUPS
 from parking_exp.config.run_key import result_part
-from parking_exp.errors import ConfigError, FailedRunError, plural
+from parking_exp.errors import ConfigError, FailedRunError
+from parking_exp.phrases import plural
 from parking_exp.runs.atomic_files import write_atomically, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs

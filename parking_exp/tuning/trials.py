@@ -9,7 +9,7 @@ from pydantic import Field, FiniteFloat, TypeAdapter
 from rich.table import Table
 
 from parking_exp.config.cell_labels import display_setting
-from parking_exp.errors import plural
+from parking_exp.phrases import plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.locks import is_held
 from parking_exp.tuning.search_config import Dimension

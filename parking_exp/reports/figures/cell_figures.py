@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from parking_exp.errors import plural
 from parking_exp.figure_style import (
     INK,
     SMALL_PT,
@@ -21,6 +20,7 @@ from parking_exp.figure_style import (
     time_axis,
     wrapped_labels,
 )
+from parking_exp.phrases import plural
 from parking_exp.reports.report_data import CellSummary, Curve, ReportData
 from parking_exp.statistics import SurvivalCurve
 from parking_exp.tasks.registry import FAILURES

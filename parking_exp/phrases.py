@@ -1,0 +1,29 @@
+"""Phrases of messages and reports: counted nouns, quoted labels, hints at what was meant."""
+
+import difflib
+from collections.abc import Iterable
+
+
+def plural(number: int, noun: str) -> str:
+    """Return `1 run`, `2 runs`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def quoted_label(label: str) -> str:
+    """Return a label for a sentence: in quotes if it contains commas."""
+    return f"“{label}”" if "," in label or ";" in label else label
+
+
+def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
+    """Return `; did you mean 'x'?` for the closest choice, or nothing when none is close."""
+    match = difflib.get_close_matches(word, sorted(set(choices)), n=1, cutoff=cutoff)
+    return f"; did you mean {match[0]!r}?" if match else ""
+
+
+def suggestion(word: str, choices: Iterable[str]) -> str:
+    """Return `; did you mean 'x'?`, or the choices when none is close and they are few, or
+    nothing.
+    """
+    names = sorted(set(choices))
+    few = f"; choose from {', '.join(map(quoted_label, names))}" if 0 < len(names) <= 30 else ""
+    return did_you_mean(word, names) or few
