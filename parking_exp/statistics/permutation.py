@@ -30,7 +30,7 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     cells = [*itertools.chain(*strata)]
     rate_steps = _choose_rate_steps(np.concatenate(cells))
     # All differences are multiples of such a step, unless cells have many different sizes.
-    n_steps = rate_steps * math.lcm(*map(len, cells))
+    n_steps = rate_steps * math.lcm(*map(np.size, cells))
     n_steps = min(n_steps, MAX_DIFFERENCE_STEPS)
 
     observed = 0
