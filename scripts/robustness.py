@@ -20,7 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.evaluation.agents import find_agents
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
@@ -93,7 +93,7 @@ class Column:
         for agent in find_agents(run, Path("outputs")):
             assert isinstance(agent.config.env, ParkingConfig)
             with closing(make_task(agent.config.env)) as task:
-                self.agents.append((greedy_policy(agent.load(task)), agent.config.env))
+                self.agents.append((GreedyPolicy(agent.load(task)), agent.config.env))
         _, env = self.agents[0]
         weighs_velocity = any(env.reward_weights[2:4])
         self.metric = "parked" if weighs_velocity else "success"

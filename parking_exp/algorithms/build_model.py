@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import torch
 from gymnasium import spaces
 from hydra.utils import get_class, instantiate
@@ -25,7 +26,7 @@ from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, po
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.tasks.feature_extractors import SymmetricFeatures
-from parking_exp.tasks.task import Policy, Task
+from parking_exp.tasks.task import Observation, Policy, Task
 
 
 def build_model(
@@ -126,9 +127,15 @@ class NoReplayBuffer(DictReplayBuffer):
 PREDICTION_BUFFER = {"buffer_size": 1, "replay_buffer_class": NoReplayBuffer}
 
 
-def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
-    """Return the model's policy without exploration."""
-    return lambda observation: model.predict(observation, deterministic=True)[0]
+class GreedyPolicy(Policy):
+    """A model's policy without exploration."""
+
+    def __init__(self, model: OffPolicyAlgorithm) -> None:
+        self.model = model
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """Return the actions of all episodes of the batch, shape (n, actions)."""
+        return self.model.predict(observation, deterministic=True)[0]
 
 
 def _skip_compiler_import() -> None:

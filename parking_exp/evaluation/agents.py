@@ -52,11 +52,11 @@ class Agent:
 
     def policy(self, task: "Task") -> "Policy":
         """Return the policy, without exploration, for a task; raises as `load_model`."""
-        from parking_exp.algorithms.build_model import greedy_policy
-        from parking_exp.algorithms.scripted_policies import build_scripted_policy
+        from parking_exp.algorithms.build_model import GreedyPolicy
+        from parking_exp.tasks.scripted_policy import build_scripted_policy
 
         if self.config.is_trained:
-            return greedy_policy(self.load(task))
+            return GreedyPolicy(self.load(task))
         algorithm = self.config.algorithm
         return build_scripted_policy(algorithm.target, algorithm.arguments, task, self.config.seed)
 

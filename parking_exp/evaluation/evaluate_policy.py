@@ -13,11 +13,9 @@ from parking_exp.statistics import wilson_interval
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.metrics import EPISODE_SEED, Episode, Metric, episode_columns, outcome
 from parking_exp.tasks.rollout import rollout
-from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
 TOLERANCE = 1e-9  # of numbers, between two simulators
-SCRIPTED_BATCH = 20  # a planner takes seconds for it, after which progress is shown
 Metrics = Sequence[Metric]
 
 
@@ -46,15 +44,11 @@ def evaluate_policy(
     Raises:
         DivergenceError: an observation or a reward is not finite.
     """
-    batch_size = task.batch_size
-    if isinstance(policy, ScriptedPolicy):
-        batch_size = min(batch_size, SCRIPTED_BATCH)
+    batch_size = min(task.batch_size, policy.max_batch_size)
     rows: dict[int, dict[str, Any]] = {}
     for first in range(0, len(seeds), batch_size):
         batch_seeds = list(seeds[first : first + batch_size])
         batch = task.evaluation_batch(batch_seeds, simulator)
-        if isinstance(policy, ScriptedPolicy):
-            policy.start(batch_seeds, partial(on_step, len(rows)) if on_step else None)
         _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_step, paths)
 
     in_order = [rows[seed] for seed in seeds]
@@ -147,7 +141,9 @@ def _run_batch(
     returns = np.zeros(len(seeds))
     if paths is not None:
         paths.record(batch.observe(), seeds, 0)
-    for steps, (episodes, _, step) in enumerate(rollout(policy, batch), start=1):
+    on_progress = None if on_step is None else partial(on_step, len(rows))
+    batch_steps = rollout(policy, batch, seeds.tolist(), on_progress)
+    for steps, (episodes, _, step) in enumerate(batch_steps, start=1):
         check_finite({**step.observation, "reward": step.reward}, f"in step {steps} of an episode")
         returns[episodes] += step.reward
         if paths is not None:
@@ -156,11 +152,10 @@ def _run_batch(
         for index in np.flatnonzero(step.terminated | step.truncated).tolist():
             number = episodes[index]
             seed = int(seeds[number])
-            ending = outcome(task.failure, bool(step.failed[index]), bool(step.is_success[index]))
             total_reward = float(returns[number])
-            info = {"is_success": bool(step.is_success[index]), **batch.info(index)}
-            if isinstance(policy, ScriptedPolicy):
-                info.update(policy.info(index))
+            is_success = bool(step.is_success[index])
+            info = {"is_success": is_success, **batch.info(index), **policy.info(index)}
+            ending = outcome(task.failure, bool(step.failed[index]), is_success)
             episode = Episode(ending, steps, total_reward, batch.ending(index), info)
             values = {metric.name: metric.of(episode) for metric in task.metrics}
             rows[seed] = {EPISODE_SEED: seed, "outcome": ending, **values}

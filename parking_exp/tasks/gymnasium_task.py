@@ -15,12 +15,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from parking_exp.errors import EnvProcessError, VideoError
-from parking_exp.tasks.captions import LAST_FRAME_S, add_caption
 from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.environment_checks import environment_problem, resumes_exactly
+from parking_exp.tasks.episode_frames import episode_frames
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import make_env
-from parking_exp.tasks.metrics import outcome
+from parking_exp.tasks.rollout import rollout
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 from parking_exp.tasks.training_envs import ReplayActions
 from parking_exp.terminal import make_output_unfailing
@@ -100,17 +100,12 @@ class GymnasiumTask(Task):
             os.environ["MUJOCO_GL"] = _mujoco_backend()
         with closing(make_env(self.config, "rgb_array")) as env:
             for seed in seeds:
-                observation, info = env.reset(seed=seed)
-                done = False
-                while not done:
-                    yield _frame(env, f"seed {seed}")
-                    batch = {key: value[np.newaxis] for key, value in observation.items()}
-                    action = policy(batch)[0]
-                    observation, _, terminated, truncated, info = env.step(action)
-                    done = terminated or truncated
-                ending = outcome(self.failure, info["is_failure"], info["is_success"])
-                last = _frame(env, f"seed {seed}: {ending}")
-                yield from [last] * round(LAST_FRAME_S * self.frame_rate)
+                batch = EnvBatch([env], [seed], "is_failure")
+                steps = rollout(policy, batch, [seed])
+                draw = partial(_draw, env)
+                yield from episode_frames(
+                    steps, draw, f"seed {seed}", self.failure, self.frame_rate
+                )
 
 
 class EnvProcesses(SubprocVecEnv):
@@ -160,14 +155,14 @@ def _env_of_worker(config: GymnasiumConfig, spec: EnvSpec | None) -> gym.Env:
     return ReplayActions(make_env(config))
 
 
-def _frame(env: gym.Env, caption: str) -> np.ndarray:
-    """Render an env, and write a caption on the frame."""
+def _draw(env: gym.Env) -> list[np.ndarray]:
+    """Return one frame."""
     frame = env.render()
     if not isinstance(frame, np.ndarray):
         raise VideoError(
             f"no video: the environment renders {type(frame).__name__} instead of an array"
         )
-    return add_caption(frame, caption)
+    return [frame]
 
 
 def _mujoco_backend() -> str:

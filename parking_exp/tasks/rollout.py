@@ -1,22 +1,34 @@
 """Step episodes that are simulated together to their ends."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import EvaluationBatch, Policy, Step
+
+Rollout = Iterator[tuple[np.ndarray, np.ndarray, Step]]
+"""After each step: the numbers of the episodes that took it, shape (n,), their actions, shape (n,
+actions), and the step.
+"""
 
 
 def rollout(
-    policy: Policy, batch: EvaluationBatch
-) -> Iterator[tuple[np.ndarray, np.ndarray, Step]]:
+    policy: Policy,
+    batch: EvaluationBatch,
+    seeds: Sequence[int],
+    on_progress: Callable[[], None] | None = None,
+) -> Rollout:
     """Step a batch until all episodes have ended; the policy sees those that are under way.
 
-    Yields:
-        After each step: the numbers of the episodes that took it, shape (n,), their actions, shape
-        (n, actions), and the step. What has ended leaves the batch afterwards.
+    What has ended leaves the batch after its last step was yielded.
+
+    Args:
+        policy: chooses the actions.
+        batch: the episodes, at their start.
+        seeds: the seeds from which they start, for the policy.
+        on_progress: called while the policy prepares; may raise to stop.
     """
+    policy.start(seeds, on_progress)
     observation = batch.observe()
     episodes = np.arange(len(batch))
     while len(batch):
@@ -28,7 +40,6 @@ def rollout(
         under_way = ~(step.terminated | step.truncated)
         if not under_way.all():
             batch.keep(under_way)
-            if isinstance(policy, ScriptedPolicy):
-                policy.keep(under_way)
+            policy.keep(under_way)
             episodes = episodes[under_way]
             observation = {key: values[under_way] for key, values in observation.items()}

@@ -1,24 +1,25 @@
 """Policies that are written by hand, or plan, and are not trained."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-import numpy as np
+from hydra.utils import get_class
 
-from parking_exp.tasks.task import Observation, Task
+from parking_exp.tasks.task import Policy, Task
 
 
-class ScriptedPolicy(ABC):
+class ScriptedPolicy(Policy):
     """A policy that is not trained, and knows from which seeds its episodes start.
 
     `algorithm._target_` names a subclass, beside `trained: false`. Its other arguments are keys of
     the section, whose values are checked by their annotations, such as pydantic's `PositiveFloat`.
 
     Args:
-        task: whose episodes it is for.
-        seed: of its random numbers; that of the run.
+        task: the task of its episodes.
+        seed: the seed of its random numbers, which is that of the run.
     """
+
+    max_batch_size = 20  # a planner takes seconds for it, after which progress is shown
 
     def __init__(self, task: Task, seed: int) -> None:
         self.task = task
@@ -29,21 +30,17 @@ class ScriptedPolicy(ABC):
         """Yield a sentence for each reason why it can't act in the env of a config."""
         yield from ()
 
-    @abstractmethod
-    def start(self, seeds: Sequence[int], on_progress: Callable[[], None] | None = None) -> None:
-        """Prepare for the episodes of a batch, which start now.
 
-        Call `on_progress` now and then if this takes long; it may raise to stop.
-        """
+def build_scripted_policy(
+    target: str, arguments: Mapping[str, Any], task: Task, seed: int
+) -> ScriptedPolicy:
+    """Return a policy for the episodes of a task.
 
-    @abstractmethod
-    def __call__(self, observation: Observation) -> np.ndarray:
-        """Return the actions of all episodes of the batch, shape (n, actions)."""
-
-    @abstractmethod
-    def keep(self, rows: np.ndarray) -> None:
-        """Keep only some episodes of the batch, by mask; the others have ended."""
-
-    def info(self, row: int) -> Mapping[str, Any]:
-        """Return entries of `Episode.info` for an episode that has just ended."""
-        return {}
+    Args:
+        target: the dotted path of its class.
+        arguments: further arguments of its constructor.
+        task: the task of its episodes.
+        seed: the seed of its random numbers.
+    """
+    policy: ScriptedPolicy = get_class(target)(task, seed, **arguments)
+    return policy

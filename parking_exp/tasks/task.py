@@ -1,5 +1,6 @@
 """The task interface: how to train on a goal-conditioned task, evaluate it and judge an episode."""
 
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
 
 Observation = dict[str, np.ndarray]
 """`observation`, `achieved_goal`, `desired_goal`; each of shape (...) or (batch, ...)."""
-
-Policy = Callable[[Observation], np.ndarray]
-"""A batch of observations -> actions, shape (batch, actions)."""
 
 
 class Step(NamedTuple):
@@ -63,6 +61,35 @@ class GoalReward(Protocol):
         """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape
         (n, info_keys).
         """
+
+
+class Policy(ABC):
+    """What chooses the actions of episodes that are stepped together.
+
+    Attributes:
+        max_batch_size: the largest number of episodes that it acts in at once.
+    """
+
+    max_batch_size = sys.maxsize
+
+    def start(  # noqa: B027 most policies need no preparation
+        self, seeds: Sequence[int], on_progress: Callable[[], None] | None = None
+    ) -> None:
+        """Prepare for the episodes of a batch, which start now.
+
+        Call `on_progress` now and then if this takes long; it may raise to stop.
+        """
+
+    @abstractmethod
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """Return the actions of all episodes of the batch, shape (n, actions)."""
+
+    def keep(self, rows: np.ndarray) -> None:  # noqa: B027 most policies have no state
+        """Keep only some episodes of the batch, by mask; the others have ended."""
+
+    def info(self, row: int) -> Mapping[str, Any]:
+        """Return entries of `Episode.info` for an episode that has just ended."""
+        return {}
 
 
 class EvaluationBatch(Protocol):
@@ -174,6 +201,8 @@ class Task(ABC):
 
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield the frames of a video of some episodes, shape (height, width, 3).
+
+        Call `policy.start` before the first action of each episode, or step it by `rollout`.
 
         Raises:
             VideoError: the task draws no frames.

@@ -16,7 +16,6 @@ from filelock import FileLock, Timeout
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
-from parking_exp.algorithms.scripted_policies import build_scripted_policy
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.run_key import short_hash
@@ -24,7 +23,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ModelError
 from parking_exp.runs.atomic_files import replacing
 from parking_exp.tasks.registry import make_task
-from parking_exp.tasks.scripted_policy import ScriptedPolicy
+from parking_exp.tasks.scripted_policy import ScriptedPolicy, build_scripted_policy
 from parking_exp.tasks.task import Task
 
 DEMONSTRATOR_SEED = 0  # of the policy: the seeds of a cell share their demonstrations

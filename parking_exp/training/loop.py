@@ -12,7 +12,7 @@ import pandas as pd
 from hydra.utils import instantiate
 from stable_baselines3.common.callbacks import BaseCallback
 
-from parking_exp.algorithms.build_model import build_model, greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy, build_model
 from parking_exp.algorithms.normalization import UpdateNormalizer
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
@@ -72,7 +72,7 @@ class TrainingLoop(RunSession):
         if config.buffer.demonstrations:
             demonstrations.make_room(config, self.task, self.model)
         self.model.set_logger(self.logger)
-        self.policy = greedy_policy(self.model)
+        self.policy = GreedyPolicy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
         # After the model, which seeds the envs with its own seed.
         self.env.seed(seeds.training_envs)

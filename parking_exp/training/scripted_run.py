@@ -4,11 +4,11 @@ import zipfile
 from contextlib import ExitStack
 from pathlib import Path
 
-from parking_exp.algorithms.scripted_policies import build_scripted_policy
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.atomic_files import replacing
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import CONFIG_FILE
+from parking_exp.tasks.scripted_policy import build_scripted_policy
 from parking_exp.training.checkpoints import SavedProgress
 from parking_exp.training.run_session import RunSession
 from parking_exp.training.signals import StopRequest

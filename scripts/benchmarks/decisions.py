@@ -7,11 +7,11 @@ from typing import Any
 
 from benchmarks.timing import spread
 from parking_exp import compose
-from parking_exp.algorithms.scripted_policies import build_scripted_policy
 from parking_exp.evaluation.agents import find_agent
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.scripted_policy import build_scripted_policy
 from parking_exp.tasks.task import Policy
 
 

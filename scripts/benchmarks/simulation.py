@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.timing import Side, interleave, seconds, spread
 from parking_exp import compose
-from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.evaluation.agents import load_model
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.tasks.parking.highway import make_env
@@ -107,7 +107,7 @@ def _actions(n_scenes: int) -> np.ndarray:
 
 def evaluation(n_scenes: int, rounds: int) -> dict[str, Any]:
     """Time the evaluation of the pretrained agent on many scenes."""
-    policy, env = greedy_policy(load_model("pretrained")), compose().env
+    policy, env = GreedyPolicy(load_model("pretrained")), compose().env
     times = [
         seconds(lambda: evaluate_policy(policy, make_task(env), range(n_scenes)))
         for _ in range(rounds + 1)

@@ -6,7 +6,7 @@ from support.models import make_model, model_of
 from support.run_equality import exact, parameters
 from support.runs import make_config, options
 
-from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints, rollout_state
@@ -33,7 +33,7 @@ def state(model, directory):
     }
     model.save(directory / "state.zip")
     return parameters(directory / "state.zip") | {
-        "actions": exact(greedy_policy(model)(observations))
+        "actions": exact(GreedyPolicy(model)(observations))
     }
 
 

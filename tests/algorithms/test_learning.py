@@ -7,7 +7,7 @@ from support.marks import slow_but
 from support.reach import CHANCE, Reach, success_rate
 from support.runs import make_config
 
-from parking_exp.algorithms.build_model import build_model, greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy, build_model
 from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.tasks.registry import make_task
 
@@ -54,14 +54,14 @@ STEPS_AND_RATE = {
 def test_with_her_and_the_fast_update_an_agent_learns_to_reach_goals(algorithm):
     model = untrained(algorithm, *AS_SB3)
     assert is_supported(model) == (algorithm != "crossq")
-    assert success_rate(greedy_policy(model)) <= UNTRAINED
+    assert success_rate(GreedyPolicy(model)) <= UNTRAINED
     steps, rate = STEPS_AND_RATE[algorithm]
     model.learn(steps)
-    assert success_rate(greedy_policy(model)) >= rate
+    assert success_rate(GreedyPolicy(model)) >= rate
 
 
 def test_without_her_it_does_not():
     """Rewards are -1 in all but one of about 1,000 episodes, and it sees 300."""
     model = untrained("sac", "buffer=replay")
     model.learn(3000)
-    assert success_rate(greedy_policy(model)) <= UNTRAINED
+    assert success_rate(GreedyPolicy(model)) <= UNTRAINED

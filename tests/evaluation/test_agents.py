@@ -10,7 +10,7 @@ from safetensors.torch import load, save
 from support import models
 from support.runs import make_config
 
-from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.algorithms.policy_files import export_safetensors, load_policy
 from parking_exp.errors import ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
@@ -65,7 +65,7 @@ def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
     assert agent.config.seed == 0
     assert agent.config.env.name == env
     task = make_task(agent.config.env)
-    episodes = evaluate_policy(greedy_policy(agent.load(task)), task, range(50))
+    episodes = evaluate_policy(GreedyPolicy(agent.load(task)), task, range(50))
     assert summarise(episodes, METRICS)[metric] == rate
 
 

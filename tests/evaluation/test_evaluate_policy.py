@@ -6,8 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.runs import make_config
+from support.user_policies import FunctionPolicy
 
 from parking_exp import load_model
+from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.evaluation.evaluate_policy import (
     describe,
     evaluate_policy,
@@ -24,10 +26,12 @@ from parking_exp.tasks.parking.pose import PoseInSlot, pose_in_slot
 from parking_exp.tasks.registry import make_task
 
 
+@FunctionPolicy
 def straight_on(observation):
     return np.tile([1.0, 0.0], (len(observation["observation"]), 1))
 
 
+@FunctionPolicy
 def wait(observation):
     return np.zeros((len(observation["observation"]), 2))
 
@@ -69,6 +73,7 @@ def test_the_driven_path_and_changes_of_gear_are_measured(simulator):
     """
     actions = iter([1.0] * 5 + [-1.0] * 10)
 
+    @FunctionPolicy
     def ahead_and_back(observation):
         return np.tile([next(actions), 0.0], (len(observation["observation"]), 1))
 
@@ -86,12 +91,8 @@ def test_the_driven_path_and_changes_of_gear_are_measured(simulator):
 
 
 def test_a_trained_agent_drives_further_than_the_shortest_path():
-    agent = load_model("pretrained/parked")
+    policy = GreedyPolicy(load_model("pretrained/parked"))
     env = make_config("env=parking_stop").env
-
-    def policy(observation):
-        return agent.predict(observation, deterministic=True)[0]
-
     table = evaluate_policy(policy, make_task(env), range(20))
     assert (table["outcome"] == "success").all()
     assert table["park_s"].tolist() == pytest.approx((table["steps"] / 5).tolist())

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from parking_exp import compose, load_model
-from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "robustness.py"
 
@@ -24,7 +24,7 @@ def script(monkeypatch):
 @pytest.mark.slow
 def test_noise_is_tolerated_and_delay_is_not(script, monkeypatch):
     monkeypatch.setattr(script, "N_SCENES", 50)
-    policy, env = greedy_policy(load_model("pretrained")), compose("env=parking").env
+    policy, env = GreedyPolicy(load_model("pretrained")), compose("env=parking").env
     assert script.evaluate(policy, env, script.Perturbation(noise=0.1)) == {
         "success": 1,
         "crash": 0,

@@ -1,11 +1,25 @@
 """Policies as users write them, which are not trained, and a task for them."""
 
+from itertools import compress
+
 import numpy as np
 from gymnasium.spaces import Box
 
 from parking_exp.buffers import HerBuffer
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
+from parking_exp.tasks.task import Policy
+from support.toy_tasks import BITS, BitFlip
 from support.user_tasks import Steps
+
+
+class FunctionPolicy(Policy):
+    """The policy that a function of observations is."""
+
+    def __init__(self, function):
+        self.function = function
+
+    def __call__(self, observation):
+        return self.function(observation)
 
 
 class LongSteps(Steps):
@@ -32,6 +46,25 @@ class Walker(ScriptedPolicy):
 
     def keep(self, rows):
         self.n_episodes = int(rows.sum())
+
+
+class Flipper(ScriptedPolicy):
+    """Solves `BitFlip` by plans: from the seeds, it knows which bits are wrong."""
+
+    def start(self, seeds, on_progress=None):
+        env = BitFlip()
+        self.plans = []
+        for seed in seeds:
+            bits, _ = env.reset(seed=seed)
+            wrong = bits["achieved_goal"] != bits["desired_goal"]
+            self.plans.append(np.flatnonzero(wrong).tolist())
+
+    def __call__(self, observation):
+        flipped = [plan.pop(0) for plan in self.plans]
+        return np.eye(BITS)[flipped]
+
+    def keep(self, rows):
+        self.plans = list(compress(self.plans, rows))
 
 
 class OwnSample(HerBuffer):

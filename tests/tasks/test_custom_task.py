@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 from support.runs import call_script, make_config, only_run
+from support.user_policies import FunctionPolicy
 from support.user_tasks import Steps
 
 from parking_exp.config.compose import compose
@@ -46,10 +47,12 @@ def config_dir(tmp_path):
     return folder
 
 
+@FunctionPolicy
 def forward(observation):
     return np.ones((len(observation["observation"]), 1), np.float32)
 
 
+@FunctionPolicy
 def backward(observation):
     return -forward(observation)
 

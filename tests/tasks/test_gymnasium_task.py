@@ -15,6 +15,7 @@ from stable_baselines3.common.logger import Logger
 from support.marks import slow_but
 from support.runs import call_script, only_run, options, run_script, script
 from support.sweep_processes import wait_until
+from support.user_policies import FunctionPolicy
 
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.config.compose import compose_configs
@@ -114,6 +115,7 @@ def test_what_is_no_goal_task_is_refused_in_a_sentence_that_says_why(env_id, ove
     assert "\n" not in str(refused.value)
 
 
+@FunctionPolicy
 def but_the_first(observation):
     """Flip the wrong bits, but for the first one: the goal is reached where that is right."""
     wrong = observation["observation"] != observation["desired_goal"]
@@ -237,12 +239,13 @@ def test_a_refusal_is_one_line_even_where_packages_print_notices():
 
 
 def test_an_env_that_renders_gives_a_video_and_others_a_reason():
+    @FunctionPolicy
     def act(observation):
         return np.zeros((1, 8), np.float32)
 
     frames = list(make_task(config(f"{TOY}Drawn-v0").env).frames(act, [0, 1]))
     assert {frame.shape for frame in frames} == {(40, 80, 3)}
-    assert len(frames) == 2 * (8 + 4)  # a frame for each step, and one second of the end
+    assert len(frames) == 2 * (1 + 8 + 4)  # the start, each step, and one second of the end
     with pytest.raises(VideoError, match="BitFlip-v0 does not render"):
         next(make_task(config(f"{TOY}BitFlip-v0").env).frames(act, [0]))
 
@@ -253,7 +256,7 @@ def test_without_egl_and_osmesa_there_is_a_reason_and_no_video(monkeypatch):
     monkeypatch.setattr(gymnasium_task.sys, "executable", "false")
     task = make_task(validate(compose_configs("config", ["env=fetch_reach"])[0]).env)
     with pytest.raises(VideoError, match="EGL or OSMesa"):
-        next(task.frames(lambda observation: np.zeros((1, 4)), [0]))
+        next(task.frames(FunctionPolicy(lambda observation: np.zeros((1, 4))), [0]))
 
 
 def test_any_goal_task_can_be_searched(tmp_path):

@@ -10,7 +10,7 @@ from support.runs import make_config
 from support.simulator_equality import KINDS, actions_of, compare
 
 import parking_exp.envs
-from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.highway import make_env
@@ -37,7 +37,7 @@ def differences(config, kind, n_scenes):
     policy = None
     if kind == "trained":
         # Of crowded parking-v0: it sees as many vehicles as on these lots.
-        policy = greedy_policy(load_model("pretrained/crowded"))
+        policy = GreedyPolicy(load_model("pretrained/crowded"))
     act = actions_of(kind, np.random.default_rng(1), (n_scenes, 2), policy)
     n_steps, different = compare(short, scenes, act)
     assert n_steps > n_scenes

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from support.runs import make_config
+from support.user_policies import FunctionPolicy
 
 from parking_exp.errors import VideoError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
@@ -39,6 +40,7 @@ UNITS = {
 HOSTILE = "</script><script>window.pwned = 1</script><img src=x onerror='window.pwned = 1'>"
 
 
+@FunctionPolicy
 def wander(observation):
     """Drive somewhere: some scenes crash, some succeed, some time out.
 
@@ -187,11 +189,12 @@ def test_rays_are_recorded_in_metres_and_shown_to_a_decimetre():
 def test_200_timeouts_of_cars_that_never_drive_smoothly_fit_into_a_megabyte():
     env = make_config("env.add_walls=false").env
     rng = np.random.default_rng(0)
-    html = make_task(env).replay_page(
-        lambda observation: rng.uniform(-1, 1, (len(observation["observation"]), 2)),
-        range(200),
-        "random actions",
-    )
+
+    @FunctionPolicy
+    def act(observation):
+        return rng.uniform(-1, 1, (len(observation["observation"]), 2))
+
+    html = make_task(env).replay_page(act, range(200), "random actions")
     recording = unpack(html)
     lengths = [len(values) for values in recording["series"]["x"]["episodes"]]
     assert sum(lengths) > 200 * 490  # nearly all drive to the end

@@ -11,7 +11,7 @@ from support.marks import slow_but
 from support.runs import make_config, parking_envs
 from support.simulator_equality import KINDS, actions_of, compare, different_scenes
 
-from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.geometry import corners
 from parking_exp.tasks.parking.highway import make_env
@@ -78,7 +78,7 @@ def test_trajectories_are_highway_envs(option, kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("option", parking_envs())
 def test_200_000_steps_of_parking_and_20_000_of_variants_without_one_mismatch(option):
-    policy = greedy_policy(load_model("pretrained/parked"))
+    policy = GreedyPolicy(load_model("pretrained/parked"))
     config, steps = env_config(f"env={option}"), 0
     for block, kind in enumerate(itertools.cycle(KINDS)):
         if steps >= (200_000 if option == "parking" else 20_000):

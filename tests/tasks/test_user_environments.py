@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from support.runs import ROOT, in_memory, make_config, only_run, run_script
+from support.user_policies import FunctionPolicy
 
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.errors import ConfigError, FailedRunError
@@ -66,7 +67,8 @@ def test_a_run_whose_environment_cannot_be_rendered_is_done_and_says_why_there_i
 def test_a_video_of_an_evaluation_that_cannot_be_made_is_one_sentence(tmp_path):
     task = make_task(config("LateRenderError").env)
     path = tmp_path / "video.mp4"
-    reason = record_video(lambda observation: np.zeros((1, 2)), task, [0], path, gif=True)
+    wait = FunctionPolicy(lambda observation: np.zeros((1, 2)))
+    reason = record_video(wait, task, [0], path, gif=True)
     assert reason == f"no video of {task.env_id}: RuntimeError: GL context lost"
     assert list(tmp_path.iterdir()) == []
 

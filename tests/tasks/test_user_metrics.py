@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from support.report_command import report
 from support.runs import call_script, make_config, only_run
+from support.user_policies import FunctionPolicy
 
 from parking_exp.errors import ConfigError, UntrustedError
 from parking_exp.evaluation.agents import load_model
@@ -21,14 +22,17 @@ OWN = "support.user_metrics"
 BOTH = f"env.metrics=[{OWN}.centred,{OWN}.last_speed]"
 
 
+@FunctionPolicy
 def straight_on(observation):
     return np.tile([1.0, 0.0], (len(observation["observation"]), 1))
 
 
+@FunctionPolicy
 def forward(observation):
     return np.ones((len(observation["observation"]), 1), np.float32)
 
 
+@FunctionPolicy
 def first_bit(observation):
     return np.eye(8)[[0] * len(observation["observation"])]
 

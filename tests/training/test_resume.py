@@ -15,7 +15,7 @@ from support.models import model_of
 from support.run_equality import differences, leaves
 from support.runs import make_config, only_run
 
-from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.evaluation.video import record_video
@@ -263,11 +263,11 @@ def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alon
 ):
     env, model = composed_once(*overrides).env, built(*overrides).learn(20)
     before = comparable(rollout_state.get_state(model))
-    evaluate_policy(greedy_policy(model), make_task(env), range(3), simulator="vectorized")
+    evaluate_policy(GreedyPolicy(model), make_task(env), range(3), simulator="vectorized")
     if not overrides:
-        evaluate_policy(greedy_policy(model), make_task(env), range(3), simulator="highway_env")
+        evaluate_policy(GreedyPolicy(model), make_task(env), range(3), simulator="highway_env")
         path = tmp_path / "video.mp4"
-        assert record_video(greedy_policy(model), make_task(env), range(1), path) is None
+        assert record_video(GreedyPolicy(model), make_task(env), range(1), path) is None
     assert comparable(rollout_state.get_state(model)) == before
 
 

@@ -28,7 +28,7 @@ from support.sweep_processes import FAILING, wait_until
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from parking_exp import __version__
-from parking_exp.algorithms.build_model import build_model, greedy_policy
+from parking_exp.algorithms.build_model import GreedyPolicy, build_model
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.errors import ConfigError, FailedRunError, RunLockedError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
@@ -163,7 +163,7 @@ def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_
     model = build_model(config, task, envs, seed=0, for_training=False)
     load_weights(directory.models / "final.zip", model)
     theirs = evaluate_policy(
-        greedy_policy(model), make_task(config.env), range(5), simulator="highway_env"
+        GreedyPolicy(model), make_task(config.env), range(5), simulator="highway_env"
     )
     assert table.loc["certified", "return"].tolist() == pytest.approx(
         theirs["return"].tolist(), abs=1e-9
@@ -244,7 +244,7 @@ def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     ours = build_model(config, task, env, seed=1, for_training=False)
     load_weights(path / "models" / "final.zip", ours)
     assert (
-        plain.predict(observation, deterministic=True)[0] == greedy_policy(ours)(observation)
+        plain.predict(observation, deterministic=True)[0] == GreedyPolicy(ours)(observation)
     ).all()
 
 

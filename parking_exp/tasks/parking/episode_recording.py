@@ -11,7 +11,6 @@ from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scene_shapes import SceneShapes, scene_shapes
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.rollout import rollout
-from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation, Policy
 
 MOTION = ("x", "y", "heading", "speed", "acceleration", "steering")
@@ -43,12 +42,10 @@ def record_episodes(
     starts = lot_of(config).from_seeds(seeds)
     shapes = [scene_shapes(starts, row, walls=config.add_walls) for row in range(len(seeds))]
     simulator = Simulator(config, starts)
-    if isinstance(policy, ScriptedPolicy):
-        policy.start(seeds)
     outcomes = [""] * len(seeds)
     history = [_record(simulator, np.zeros((2, len(seeds))), simulator.observe())]
     recorded = [np.arange(len(seeds))]
-    for scenes, actions, step in rollout(policy, simulator):
+    for scenes, actions, step in rollout(policy, simulator, seeds):
         history.append(_record(simulator, simulator.controls(actions), step.observation))
         recorded.append(scenes)
         for row in np.flatnonzero(step.terminated | step.truncated):
