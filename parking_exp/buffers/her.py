@@ -131,7 +131,7 @@ class HerBuffer(DictReplayBuffer):
         if self.handle_timeout_termination:
             for env in ended:
                 terminated[env] = not infos[env].get("TimeLimit.truncated", False)
-        failure_key: Any = self.reward.failure_key
+        failure_key = self.reward.failure_key
         failed = np.array([bool(info.get(failure_key)) for info in infos])
         info = np.empty((self.n_envs, len(self._info_keys)))
         for column, key in enumerate(self._info_keys):

@@ -81,7 +81,7 @@ class BatchVecEnv(VecEnv):
         """Step all envs. Where an episode ended, the observation is the next one's first."""
         step = self.batch.step(self._actions)
         done = step.terminated | step.truncated
-        failure_key: Any = self.goal_reward.failure_key
+        failure_key = self.goal_reward.failure_key
         infos: list[dict[str, Any]] = []
         for success, failed in zip(step.is_success.tolist(), step.failed.tolist(), strict=True):
             infos.append({"is_success": success, failure_key: failed})

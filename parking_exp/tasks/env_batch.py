@@ -7,10 +7,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from parking_exp.tasks.task import Observation, Step
+from parking_exp.tasks.task import EvaluationBatch, Observation, Step
 
 
-class EnvBatch:
+class EnvBatch(EvaluationBatch):
     """Episodes of Gymnasium envs, stepped together; none is ever reset by itself.
 
     Args:
@@ -50,9 +50,6 @@ class EnvBatch:
         """Keep only some of the episodes, by mask."""
         self.envs = list(compress(self.envs, rows))
         self._observations = list(compress(self._observations, rows))
-
-    def ending(self, row: int) -> Any:
-        """Return None: the outcome is all that is known of the end of an episode."""
 
     def info(self, row: int) -> dict[str, Any]:
         """Return the last `info` of an episode that has just ended."""

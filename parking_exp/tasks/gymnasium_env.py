@@ -18,6 +18,7 @@ import numpy as np
 from parking_exp.errors import ConfigError, one_line
 from parking_exp.phrases import suggestion
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
+from parking_exp.tasks.task import GoalReward
 
 # How ids of gymnasium-robotics begin.
 ROBOTICS = (
@@ -60,16 +61,12 @@ class GoalInfo(gym.Wrapper):
         self.goal_reward.close()
 
 
-class GymnasiumReward:
+class GymnasiumReward(GoalReward):
     """The `compute_reward` of an environment, for many goals at once.
 
     A goal is reached where `compute_terminated` says so, if episodes end there, or else where the
     reward is that of the goal itself.
     """
-
-    failure_penalty = 0.0
-    failure_key = "is_failure"
-    velocity: tuple[int, ...] = ()
 
     def __init__(self, config: GymnasiumConfig) -> None:
         self.config = config

@@ -32,29 +32,30 @@ class Step(NamedTuple):
     is_success: np.ndarray
 
 
-class GoalReward(Protocol):
-    """The reward of reaching goals, for many of them at once."""
+class GoalReward(ABC):
+    """The reward of reaching goals, for many of them at once.
 
-    @property
-    def failure_penalty(self) -> float:
-        """Penalty, at most 0, that the reward of a failing step includes."""
+    Attributes:
+        failure_penalty: the penalty, at most 0, that the reward of a failing step includes.
+        failure_key: the entry of `info` that is true at such a step.
+        velocity: which entries of a goal are a velocity.
+    """
 
-    @property
-    def failure_key(self) -> str | None:
-        """Entry of `info` that is true at such a step."""
+    failure_penalty: float = 0.0
+    failure_key: str = "is_failure"
+    velocity: tuple[int, ...] = ()
 
     @property
     def info_keys(self) -> tuple[str, ...]:
         """Entries of `info` that the reward depends on, beside the goals; each is a number."""
-
-    @property
-    def velocity(self) -> tuple[int, ...]:
-        """Which entries of a goal are a velocity."""
+        return ()
 
     @property
     def terminates(self) -> bool:
         """Whether an episode ends where its goal is reached."""
+        return True
 
+    @abstractmethod
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -109,11 +110,13 @@ class EvaluationBatch(Protocol):
 
     def ending(self, row: int) -> Any:
         """Return the state at the end of an episode that has just ended, as `Episode.end` of its
-        metrics.
+        metrics; None where the outcome is all that is known.
         """
+        return None
 
     def info(self, row: int) -> Mapping[str, Any]:
         """Return the last `info` of an episode that has just ended, as `Episode.info`."""
+        return {}
 
 
 class Task(ABC):

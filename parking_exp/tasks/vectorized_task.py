@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 from parking_exp.errors import one_line
-from parking_exp.tasks.task import Observation, Step, Task
+from parking_exp.tasks.task import EvaluationBatch, GoalReward, Observation, Step, Task
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
@@ -92,14 +92,8 @@ class VectorizedTask(Task):
                 )
 
 
-class TaskReward:
+class TaskReward(GoalReward):
     """The reward of a task, as HER takes it."""
-
-    failure_penalty = 0.0
-    failure_key = "is_failure"
-    info_keys: tuple[str, ...] = ()
-    velocity: tuple[int, ...] = ()
-    terminates = True
 
     def __init__(self, task: VectorizedTask) -> None:
         self.task = task
@@ -111,7 +105,7 @@ class TaskReward:
         return self.task.reward(achieved, desired)
 
 
-class ArrayBatch:
+class ArrayBatch(EvaluationBatch):
     """Episodes of a task that are stepped together; none is ever reset by itself."""
 
     def __init__(self, task: VectorizedTask, seeds: Sequence[int]) -> None:
@@ -165,10 +159,6 @@ class ArrayBatch:
     def ending(self, row: int) -> State:
         """Return the state of one episode."""
         return self._take(row)
-
-    def info(self, row: int) -> dict[str, Any]:
-        """Return nothing: `ending` has all that is known."""
-        return {}
 
     def get_state(self) -> State:
         """Return the state, to be saved and given to `set_state`."""

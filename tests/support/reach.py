@@ -5,6 +5,8 @@ chance.
 import gymnasium as gym
 import numpy as np
 
+from parking_exp.tasks.task import GoalReward
+
 DIMENSIONS, TOLERANCE, STRIDE, STEPS = 4, 0.1, 0.25, 10
 CHANCE = STEPS * TOLERANCE**DIMENSIONS
 """Upper bound of the success rate of an agent that does not look at the goal: 0.1 %.
@@ -14,12 +16,8 @@ points on it is near enough with a probability of at most (2 * TOLERANCE / 2) **
 """
 
 
-class ReachReward:
+class ReachReward(GoalReward):
     """Reward of a step of `Reach` with a goal, and whether it is reached."""
-
-    failure_penalty, failure_key = 0.0, None
-    info_keys = velocity = ()
-    terminates = True
 
     def __call__(self, achieved, desired, info=None):
         reached = np.abs(achieved - desired).max(axis=-1) <= TOLERANCE

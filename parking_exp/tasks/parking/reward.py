@@ -3,7 +3,7 @@ lots.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -14,10 +14,11 @@ from parking_exp.tasks.parking.parking_config import (
     ParkingConfig,
 )
 from parking_exp.tasks.parking.pose import PARKED_SPEED_MPS, is_parked
+from parking_exp.tasks.task import GoalReward
 
 
-@dataclass(frozen=True, eq=False)
-class ParkingReward:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ParkingReward(GoalReward):
     """The reward of an env variant. Goals are x, y, vx, vy, cos_h, sin_h in highway-env's own
     scales.
     """
@@ -30,8 +31,6 @@ class ParkingReward:
     standing_reward: float  # added where the car stands outside its slot; `LotReward` only
 
     failure_key = "crashed"
-    info_keys: ClassVar[tuple[str, ...]] = ()
-    terminates = True
     # Which features of a goal are a velocity.
     velocity = tuple(DEFAULT_FEATURES.index(name) for name in ("vx", "vy"))
 
