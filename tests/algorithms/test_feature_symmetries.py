@@ -143,6 +143,7 @@ def outlines(slots, turns):
 @pytest.mark.parametrize(
     ("overrides", "turned", "handed"),
     [
+        (["env=parking"], True, False),
         (["env=parking_parallel"], True, False),
         (["env=parking_bays"], True, False),
         (["env=parking_dead_end"], False, True),
@@ -160,14 +161,8 @@ def test_features_know_the_size_and_the_symmetries_of_the_lot(overrides, turned,
     factor, summand = MIRRORS["x to -x"]
     assert (outlines(slots * factor + summand, 2) == outlines(slots, 2)) != handed
     task = ParkingTask(config)
-    assert task.features("ego")[1] == {"lot_size_m": lot.size_m}
-    fine = task.features("ego_fine")[1]
-    assert (fine["lot_size_m"], fine["turned"]) == (lot.size_m, turned)
+    ego = {"lot_size_m": lot.size_m, "rays": 0}
+    assert task.features("ego")[1] == ego
+    fine = {**ego, "reward_weights": config.reward_weights, "turned": turned}
+    assert task.features("ego_fine")[1] == fine
     assert task.features("ego_mirrored")[1] == {**fine, "handed": handed}
-
-
-def test_features_of_highway_envs_own_lot_have_no_further_arguments():
-    task = ParkingTask(make_config().env)
-    weights = {"reward_weights": [1, 0.3, 0, 0, 0.02, 0.02]}
-    arguments = [task.features(name)[1] for name in ("ego", "ego_fine", "ego_mirrored")]
-    assert arguments == [{}, weights, weights]

@@ -28,6 +28,8 @@ class HighwayLot:
     nearest_row_m = ROW_Y_M  # no row is nearer to the middle of the lot
     size_m = (LOT_LENGTH_M, LOT_WIDTH_M)
     same_walls = True  # in all scenes
+    turned = True  # equals itself when it is turned by 180 degrees
+    handed = False  # equals its mirror image
 
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:
         """Return the scenes of `env.reset(seed=s)` of highway-env."""

@@ -11,7 +11,7 @@ import numpy as np
 from parking_exp.tasks.parking.driven_path import DrivenBatch
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
-from parking_exp.tasks.parking.lot import HighwayLot, lot_of
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.simulator import Simulator
@@ -91,21 +91,17 @@ class ParkingTask(Task):
 
         if name not in EXTRACTORS:
             return None
-        extractor = EXTRACTORS[name]
-        arguments: dict[str, Any] = {}
-        if self.config.observation.rays:
-            arguments["rays"] = self.config.observation.rays
+        lot = lot_of(self.config)
+        arguments: dict[str, Any] = {
+            "lot_size_m": lot.size_m,
+            "rays": self.config.observation.rays,
+        }
         if name != "ego":
             arguments["reward_weights"] = list(self.config.reward_weights)
-        lot = lot_of(self.config)
-        if isinstance(lot, HighwayLot):  # its size and symmetries are the defaults
-            return extractor, arguments
-        arguments["lot_size_m"] = lot.size_m
-        if name != "ego":
             arguments["turned"] = lot.turned
         if name == "ego_mirrored":
             arguments["handed"] = lot.handed
-        return extractor, arguments
+        return EXTRACTORS[name], arguments
 
     def positions(self, observation: Observation) -> dict[str, np.ndarray]:
         """Return the poses of the cars [m, rad]."""
