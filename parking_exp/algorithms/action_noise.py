@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 
 class EpsilonRandomActionNoise(NormalActionNoise):
-    """Draw normal noise, or with probability `epsilon` uniform noise in [-2, 2].
+    """Sample normal noise, or with probability `epsilon` uniform noise in [-2, 2].
 
     As HER's authors explore (Plappert et al. 2018, arXiv:1802.09464, appendix): normal noise alone
     seldom leads a robot's gripper to a box. Theirs is a random action; noise does not know the
@@ -40,7 +40,7 @@ class EpsilonRandomActionNoise(NormalActionNoise):
 
 
 class VectorizedNormalNoise(VectorizedActionNoise):
-    """Normal noise of several envs, drawn in one call: Stable-Baselines3's numbers."""
+    """Normal noise of several envs, sampled in one call: Stable-Baselines3's numbers."""
 
     base_noise: NormalActionNoise
 

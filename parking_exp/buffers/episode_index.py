@@ -76,8 +76,8 @@ class EpisodeIndex:
         self.head[env] = self.steps
         self.current[env] = NO_EPISODE
 
-    def draw(self, rng: np.random.Generator, number: int) -> np.ndarray:
-        """Draw transitions of whole episodes, all with the same probability; return their indices.
+    def sample(self, rng: np.random.Generator, number: int) -> np.ndarray:
+        """Sample transitions of whole episodes, all with the same probability; return indices.
 
         Raises:
             RuntimeError: no episode has ended yet.
@@ -94,8 +94,8 @@ class EpisodeIndex:
         step += self.head.take(env)
         return self.index(step, env)
 
-    def draw_stored(self, rng: np.random.Generator, number: int) -> np.ndarray:
-        """Draw from everything that is stored, episodes under way included; return indices."""
+    def sample_stored(self, rng: np.random.Generator, number: int) -> np.ndarray:
+        """Sample from everything that is stored, episodes under way included; return indices."""
         return rng.integers(len(self), size=number)
 
     def index(self, step: np.ndarray, env: np.ndarray) -> np.ndarray:

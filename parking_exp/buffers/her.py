@@ -31,7 +31,7 @@ class HerBuffer(DictReplayBuffer):
 
     The cost of sampling depends neither on the capacity nor on how full the buffer is. With
     `relabel_collision` and `relabel_terminated` at `sb3` and `goal_velocity` at `achieved`, which
-    are the defaults, batches are those of Stable-Baselines3's `HerReplayBuffer`. It draws from
+    are the defaults, batches are those of Stable-Baselines3's `HerReplayBuffer`. It samples from
     NumPy's global generator only its own seed.
 
     Memory is 112 bytes for a transition of parking-v0, and 60 to 90 for an episode.
@@ -41,7 +41,7 @@ class HerBuffer(DictReplayBuffer):
             batch. Those that the options below allow no virtual goal keep their own, and count as
             real.
         goal_selection_strategy: `future`, `final`, `episode`, `random` (any goal achieved so far),
-            or None: no virtual transitions, and transitions of episodes under way are drawn too.
+            or None: no virtual transitions, and transitions of episodes under way are sampled too.
         relabel_collision: the penalty of a failure (parking: a collision) with a virtual goal.
             `keep`: it is added. `sb3`: it is not, since `compute_reward` knows none. `exclude`:
             transitions at which the episode fails are neither relabelled nor used as goals.
@@ -55,7 +55,7 @@ class HerBuffer(DictReplayBuffer):
 
     Attributes:
         demonstrations: a buffer of the same class, of one env, from which `demonstration_share` of
-            each batch is drawn; None without demonstrations.
+            each batch is sampled; None without demonstrations.
         demonstration_share: between 0 and 1.
     """
 
@@ -143,7 +143,7 @@ class HerBuffer(DictReplayBuffer):
             self.episodes.finish(env)
 
     def sample(self, batch_size: int, env: None = None) -> DictReplayBufferSamples:  # type: ignore[override]
-        """Draw a minibatch: real transitions first, then those with virtual goals.
+        """Sample a minibatch: real transitions first, then those with virtual goals.
 
         Those of demonstrations follow, in the same order.
 
@@ -159,11 +159,11 @@ class HerBuffer(DictReplayBuffer):
         return _joined(own, demonstrated)
 
     def _sample(self, batch_size: int) -> DictReplayBufferSamples:
-        """Draw a minibatch of the episodes of the envs."""
+        """Sample a minibatch of the episodes of the envs."""
         if self.goal_selection_strategy is None:
-            index = self.episodes.draw_stored(self.rng, batch_size)
+            index = self.episodes.sample_stored(self.rng, batch_size)
         else:
-            index = self.episodes.draw(self.rng, batch_size)
+            index = self.episodes.sample(self.rng, batch_size)
         transitions = self.storage.take(index)
 
         goal_index = NO_GOALS
@@ -176,7 +176,7 @@ class HerBuffer(DictReplayBuffer):
     def select_goals(self, index: np.ndarray, record: np.ndarray) -> np.ndarray:
         """Return the indices of the transitions whose next achieved goals become virtual goals.
 
-        A subclass may override this with its own strategy, which should draw from `self.rng`:
+        A subclass may override this with its own strategy, which should sample from `self.rng`:
         checkpoints save it.
 
         Args:

@@ -46,7 +46,7 @@ def random(
     rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray
 ) -> np.ndarray:
     """Take goals from all stored transitions, episodes under way included."""
-    return episodes.draw_stored(rng, len(index))
+    return episodes.sample_stored(rng, len(index))
 
 
 STRATEGIES: dict[GoalStrategy, Strategy] = {

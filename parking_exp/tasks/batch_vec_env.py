@@ -33,8 +33,8 @@ class TrainingBatch(EvaluationBatch, Protocol):
 class BatchVecEnv(VecEnv):
     """VecEnv of a batch of episodes; an env starts a new episode when its own ends.
 
-    After `seed(s)`, `reset()` starts the episodes of the seeds s, s + 1, ...; later ones are drawn
-    by a generator seeded with s.
+    After `seed(s)`, `reset()` starts the episodes of the seeds s, s + 1, .... Later ones are
+    sampled by a generator seeded with s.
     """
 
     render_mode = None  # videos are made by the task
@@ -57,18 +57,18 @@ class BatchVecEnv(VecEnv):
         """Return the episodes of some seeds, as the batch takes them to start."""
         return seeds
 
-    def draw(self, rng: np.random.Generator, number: int) -> Any:
+    def sample(self, rng: np.random.Generator, number: int) -> Any:
         """Return random episodes, which no evaluation has."""
         return rng.integers(*TRAINING_SEEDS, number).tolist()
 
     def reset(self) -> VecEnvObs:
         """Start an episode in every env and return the first observations."""
         if self._seeds[0] is not None:
-            # Not the stream that the episode of seed s itself is drawn from.
+            # Not the stream that the episode of seed s itself is sampled from.
             self._rng = np.random.default_rng((self._seeds[0], 1))
             episodes = self.from_seeds([seed or 0 for seed in self._seeds])
         else:
-            episodes = self.draw(self._rng, self.num_envs)
+            episodes = self.sample(self._rng, self.num_envs)
         self.batch.start(episodes)
         self._reset_seeds()
         return self.batch.observe()
@@ -92,7 +92,7 @@ class BatchVecEnv(VecEnv):
                 last = {key: value[row].copy() for key, value in step.observation.items()}
                 only_time = bool(step.truncated[row] and not step.terminated[row])
                 infos[row] |= {"terminal_observation": last, "TimeLimit.truncated": only_time}
-            self.batch.start(self.draw(self._rng, len(ended)), ended)
+            self.batch.start(self.sample(self._rng, len(ended)), ended)
             for key, value in self.batch.observe(ended).items():
                 step.observation[key][ended] = value
         return step.observation, step.reward.astype(np.float32), done, infos

@@ -3,7 +3,7 @@
 These are random generators, envs, exploration noise and the logger's pending values.
 
 It is saved and restored at the beginning of a rollout. Restoring comes last there: `learn` resets
-action noise, and gSDE draws its matrices just before.
+action noise, and gSDE samples its matrices just before.
 """
 
 import random
@@ -54,7 +54,7 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
         pending = getattr(model.logger, name)
         pending.clear()
         pending.update(state["metrics"][name])
-    _set_random_states(model, state["rng"])  # last, since the code above may draw from them
+    _set_random_states(model, state["rng"])  # last, since the code above may sample from them
 
 
 def _random_states(model: OffPolicyAlgorithm) -> dict[str, Any]:

@@ -15,7 +15,7 @@ class RunSeeds:
     policy: int
     # Of the first training env; env i gets this + i. None is an evaluation's seed.
     training_envs: int
-    # Draws the episodes of the final evaluation that are cross-checked.
+    # Samples the episodes of the final evaluation that are cross-checked.
     cross_check: int
 
 
@@ -33,7 +33,7 @@ def derive_seeds(seed: int, training_seeds: range) -> RunSeeds:
 def cross_checked_seeds(config: RunConfig) -> list[int]:
     """Return the seeds of the final episodes that are repeated on the reference simulator, sorted.
 
-    They are drawn with the run's seed, so that a sweep covers many. On the reference itself, all
+    They are sampled with the run's seed, so that a sweep covers many. On the reference itself, all
     are returned.
     """
     seeds = config.evaluation.seeds(config.evaluation.final_n_scenes)

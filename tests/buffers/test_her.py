@@ -182,7 +182,7 @@ def test_indices_are_drawn_from_stable_baselines3s_distribution(strategy, n_envs
     np.random.seed(0)
     ours.rng = np.random.default_rng(0)
     n = 200_000
-    our_index = ours.episodes.draw(ours.rng, n)
+    our_index = ours.episodes.sample(ours.rng, n)
     our_goals = ours.select_goals(our_index, records_of(ours, our_index))
     valid = np.flatnonzero(theirs.ep_length > 0)
     other = np.random.choice(valid, n)
@@ -203,7 +203,7 @@ def test_random_takes_goals_from_everything_stored():
     """From episodes under way too, all with the same probability."""
     ours, _ = pair(100, 8, 25, goal_selection_strategy="random")
     ours.rng = np.random.default_rng(0)
-    drawn = ours.episodes.draw(ours.rng, 100_000)
+    drawn = ours.episodes.sample(ours.rng, 100_000)
     goals = ours.select_goals(drawn, records_of(ours, drawn))
     counts = np.bincount(goals)
     assert len(counts) == 12 * 8

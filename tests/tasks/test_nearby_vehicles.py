@@ -26,7 +26,7 @@ from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
 from parking_exp.tasks.parking.parking_report import rates
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, drawn_places
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, sampled_places
 
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
@@ -67,7 +67,7 @@ def test_obstacles_are_random_places_in_the_aisle_by_the_documented_rule():
     scenes = Scenes.from_seeds(range(50), (0, 0), 4)
     for seed, places in enumerate(scenes.obstacles):
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)).jumped(2))
-        np.testing.assert_array_equal(places, drawn_places(rng, 4))
+        np.testing.assert_array_equal(places, sampled_places(rng, 4))
     drawn = Scenes.random(np.random.default_rng(0), 5_000, (0, 0), 4).obstacles.reshape(-1, 2)
     for places in (scenes.obstacles.reshape(-1, 2), drawn):
         assert (np.linalg.norm(places, axis=1) > 6).all()

@@ -34,7 +34,7 @@ class Minibatch(NamedTuple):
 def sample_minibatches(model: Any, steps: int, batch_size: int) -> Iterator[Minibatch]:
     """Sample the minibatches of `steps` updates, and yield them one by one.
 
-    `HerBuffer` draws transitions independently, so it is sampled once for all of them. It returns
+    `HerBuffer` samples transitions independently, so it is sampled once for all of them. It returns
     real and virtual transitions one after the other, and then those of demonstrations. Dealt out in
     turn, each minibatch has its share of them, to within one transition.
     """

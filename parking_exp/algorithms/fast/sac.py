@@ -53,7 +53,7 @@ class _Update:
         features, actions, rewards, discounts, _ = minibatch  # the signs are for TD3's target noise
         n, n_actions = actions.shape
         noise = torch.empty((2, n, n_actions), dtype=features.dtype)
-        noise[0].normal_()  # one after the other, as Stable-Baselines3 draws them
+        noise[0].normal_()  # one after the other, as Stable-Baselines3 samples them
         noise[1].normal_()
 
         # States and next states share the actor: one pass for both.

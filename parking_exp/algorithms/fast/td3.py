@@ -31,7 +31,7 @@ class _Update:
             n = len(actions)
             model._n_updates += 1
 
-            # Drawn as Stable-Baselines3 draws it, for the env's actions.
+            # Sampled as Stable-Baselines3 samples it, for the env's actions.
             noise = torch.empty_like(actions).normal_(0, model.target_policy_noise)
             noise.clamp_(-model.target_noise_clip, model.target_noise_clip).mul_(next_signs)
             next_actions = noise.add_(self.target.forward(features[n:])[-1].tanh_()).clamp_(-1, 1)

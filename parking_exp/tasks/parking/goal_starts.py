@@ -54,7 +54,7 @@ class GoalStarts:
         return self.with_starts(self.lot.from_seeds(seeds), draws)
 
     def random(self, rng: np.random.Generator, n: int) -> Scenes:
-        """Draw scenes of the same distribution, many at once."""
+        """Sample scenes of the same distribution, many at once."""
         scenes = self.lot.random(rng, n)
         return self.with_starts(scenes, rng.random((n, N_DRAWS)))
 

@@ -1,5 +1,5 @@
 """Lots: the geometry of parking-v0's own lot, of parametric ones and of several in one env, and how
-scenes are drawn.
+scenes are sampled.
 """
 
 from abc import ABC, abstractmethod
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import LOT_LENGTH_M, LOT_WIDTH_M, ROW_Y_M, WALL_THICKNESS_M
-from parking_exp.tasks.parking.lot_config import DRAWN, GAP_M, TINY, LotConfig, LotNumbers
+from parking_exp.tasks.parking.lot_config import GAP_M, SAMPLED_NUMBERS, TINY, LotConfig, LotNumbers
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
@@ -36,7 +36,7 @@ class HighwayLot:
         return Scenes.from_seeds(seeds, self.vehicles_range, self.n_obstacles)
 
     def random(self, rng: np.random.Generator, n: int) -> Scenes:
-        """Draw scenes of the same distribution, many at once."""
+        """Sample scenes of the same distribution, many at once."""
         return Scenes.random(rng, n, self.vehicles_range, self.n_obstacles)
 
     def typical(self) -> Scenes:
@@ -44,7 +44,7 @@ class HighwayLot:
         return self.from_seeds([0])
 
 
-class DrawnLot(ABC):
+class SampledLot(ABC):
     """A lot whose scenes are made from `n_draws` numbers, uniform in [0, 1).
 
     The numbers of `env.reset(seed=s)` are
@@ -67,11 +67,11 @@ class DrawnLot(ABC):
         return self.scenes(draws)
 
     def random(self, rng: np.random.Generator, n: int) -> Scenes:
-        """Draw scenes of the same distribution, many at once."""
+        """Sample scenes of the same distribution, many at once."""
         return self.scenes(rng.random((n, self.n_draws)))
 
 
-class ParametricLot(DrawnLot):
+class ParametricLot(SampledLot):
     """Rows of slots along an aisle; see `LotConfig`.
 
     The numbers of a scene choose, in this order, length and width of the slots, width of the aisle;
@@ -88,8 +88,8 @@ class ParametricLot(DrawnLot):
         lowest, highest = config.ranges
         is_range = lowest < highest
         is_range[:N_FIRST] = False
-        self._drawn_last = np.flatnonzero(is_range)  # of `LotNumbers`
-        n_of_parts = (N_FIRST, 3, 2, config.n_slots, len(self._drawn_last))
+        self._sampled_last = np.flatnonzero(is_range)  # of `LotNumbers`
+        n_of_parts = (N_FIRST, 3, 2, config.n_slots, len(self._sampled_last))
         self._part_ends = np.cumsum(n_of_parts)
         self.n_draws = int(self._part_ends[-1])
         starts = config.starts
@@ -113,10 +113,10 @@ class ParametricLot(DrawnLot):
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
         n = len(draws)
         parts = np.split(draws, self._part_ends[:-1], axis=1)
-        first, starts, goal_and_number, order, drawn_last = parts
-        shares = np.zeros((n, len(DRAWN)))
+        first, starts, goal_and_number, order, sampled_last = parts
+        shares = np.zeros((n, len(SAMPLED_NUMBERS)))
         shares[:, :N_FIRST] = first
-        shares[:, self._drawn_last] = drawn_last
+        shares[:, self._sampled_last] = sampled_last
         numbers = self.config.numbers(shares)
         slots, box, middle = self._geometry(numbers)
 
@@ -153,7 +153,7 @@ class ParametricLot(DrawnLot):
         box = np.stack([left + right, above + below], axis=1) + WALL_THICKNESS_M
 
         in_row = np.arange(config.slots_per_row) - (config.slots_per_row - 1) / 2
-        x = numbers.drawn_pitch_m[:, None] * in_row
+        x = numbers.sampled_pitch_m[:, None] * in_row
         y = np.repeat(((aisle + depth) / 2)[:, None], config.slots_per_row, axis=1)
         if config.rows == 2:
             # The row below is the one above, turned by 180 degrees.
@@ -183,7 +183,7 @@ class ParametricLot(DrawnLot):
         return taken
 
 
-class SeveralLots(DrawnLot):
+class SeveralLots(SampledLot):
     """Several lots, on one of which each scene is.
 
     The first number of a scene chooses the lot. The numbers after it are those of that lot.
@@ -239,11 +239,11 @@ def lot_of(config: ParkingConfig) -> Lot:
     """Return the lot of an `env` group, or its lots in one."""
     lots = config.parametric_lots.values()
     if lots:
-        return drawn_lot(lots, config.vehicles_count)
+        return sampled_lot(lots, config.vehicles_count)
     return HighwayLot(config.vehicles_range, config.obstacles)
 
 
-def drawn_lot(configs: Iterable[LotConfig], vehicles_count: Any) -> ParametricLot | SeveralLots:
+def sampled_lot(configs: Iterable[LotConfig], vehicles_count: Any) -> ParametricLot | SeveralLots:
     """Return a lot, or several in one; `vehicles_count` is that of the env."""
     lots = [ParametricLot(config, config.vehicles_range(vehicles_count)) for config in configs]
     if len(lots) == 1:

@@ -12,7 +12,7 @@ from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, direct
 
 TINY = 1e-9
 MAX_M = 1000.0
-MAX_SHARE = float(np.nextafter(1.0, 0.0))  # the largest number that a generator draws
+MAX_SHARE = float(np.nextafter(1.0, 0.0))  # the largest number that a generator returns
 GAP_M = 0.5  # from the slots to the wall behind them, and beside the last one of a dead end
 
 
@@ -24,8 +24,8 @@ def bounds(value: Any) -> tuple[Any, Any]:
     return value, value
 
 
-def _check_drawn(value: Any, limits: tuple[float, float], sentence: str) -> float | list[float]:
-    """Return a number, or the lowest and the highest of those that scenes draw."""
+def _check_sampled(value: Any, limits: tuple[float, float], sentence: str) -> float | list[float]:
+    """Return a number, or the lowest and the highest of those that scenes sample."""
     low, high = bounds(value)
     numbers = {type(low), type(high)} <= {int, float}
     lowest, highest = limits
@@ -36,17 +36,17 @@ def _check_drawn(value: Any, limits: tuple[float, float], sentence: str) -> floa
 
 def _check_length(value: Any) -> float | list[float]:
     sentence = "give a length of at most 1000 m, or the lowest and the highest: [6, 7]"
-    return _check_drawn(value, (TINY, MAX_M), sentence)
+    return _check_sampled(value, (TINY, MAX_M), sentence)
 
 
 def _check_end(value: Any) -> float | list[float]:
     sentence = "give a length from 0 to 1000 m, or the lowest and the highest: [6, 7]"
-    return _check_drawn(value, (0.0, MAX_M), sentence)
+    return _check_sampled(value, (0.0, MAX_M), sentence)
 
 
 def _check_angle(value: Any) -> float | list[float]:
     sentence = "give an angle from 0 to 90 degrees, or the lowest and the highest: [45, 90]"
-    return _check_drawn(value, (0.0, 90.0), sentence)
+    return _check_sampled(value, (0.0, 90.0), sentence)
 
 
 def _check_order(value: list[float]) -> list[float]:
@@ -87,9 +87,9 @@ class StartsConfig(ConfigModel):
 
 @dataclass(frozen=True)
 class LotNumbers:
-    """The numbers that n scenes draw of their lot, each of shape (n,) [m, degrees].
+    """The numbers that n scenes sample of their lot, each of shape (n,) [m, degrees].
 
-    They have the names of their keys, and the order in which they are drawn.
+    They have the names of their keys, and the order in which they are sampled.
     """
 
     slot_length_m: np.ndarray
@@ -113,18 +113,18 @@ class LotNumbers:
         return np.minimum(side_by_side, one_behind_the_other)
 
     @property
-    def drawn_pitch_m(self) -> np.ndarray:
+    def sampled_pitch_m(self) -> np.ndarray:
         """The distances from slot to slot along the aisle, shape (n,)."""
         return np.where(np.isnan(self.pitch_m), self.closest_pitch_m, self.pitch_m)
 
 
-DRAWN = tuple(field.name for field in fields(LotNumbers))
+SAMPLED_NUMBERS = tuple(field.name for field in fields(LotNumbers))
 
 
 class LotConfig(ConfigModel):
     """Rows of equal slots along an aisle, in a box of four walls.
 
-    The numbers of `LotNumbers` may be ranges, from which each scene draws its own.
+    The numbers of `LotNumbers` may be ranges, from which each scene samples its own.
     """
 
     angle_deg: Angle  # of the slots to the aisle
@@ -161,7 +161,7 @@ class LotConfig(ConfigModel):
     @property
     def ranges(self) -> np.ndarray:
         """The lowest and the highest of the numbers of `LotNumbers`, shape (2, 6)."""
-        ranges = [bounds(getattr(self, name)) for name in DRAWN]
+        ranges = [bounds(getattr(self, name)) for name in SAMPLED_NUMBERS]
         return np.array(ranges, dtype=np.float64).T
 
     def vehicles_range(self, of_env: Any) -> tuple[int, int]:
@@ -203,7 +203,7 @@ class LotConfig(ConfigModel):
         """
         cos, sin = numbers.direction
         slot = numbers.slot_length_m * cos + numbers.slot_width_m * sin
-        half_row = (slot + (self.slots_per_row - 1) * numbers.drawn_pitch_m) / 2
+        half_row = (slot + (self.slots_per_row - 1) * numbers.sampled_pitch_m) / 2
         ends = half_row + np.array([numbers.end_m, numbers.end_m])
         if self.dead_end:
             ends[1] = half_row + GAP_M

@@ -12,7 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, Obstacle
 
 from parking_exp.tasks.parking.geometry import walls_around
-from parking_exp.tasks.parking.lot import drawn_lot
+from parking_exp.tasks.parking.lot import sampled_lot
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
@@ -27,7 +27,7 @@ class LotEnv(ParkingEnv):
     """
 
     def __init__(self, config: ParkingConfig, render_mode: str | None = None) -> None:
-        self.lot = drawn_lot(config.parametric_lots.values(), config.vehicles_count)
+        self.lot = sampled_lot(config.parametric_lots.values(), config.vehicles_count)
         self.goal_reward = reward_of(config)
         super().__init__(config.highway_options(), render_mode)
 
@@ -37,7 +37,7 @@ class LotEnv(ParkingEnv):
         return self.scene.slot_size[0]
 
     def _create_road(self, spots: int = 0) -> None:
-        """Draw a scene, and make a lane for each of its slots."""
+        """Sample a scene, and make a lane for each of its slots."""
         self.scene: Scenes = self.lot.scenes(self.np_random.random((1, self.lot.n_draws)))
         length, width = self.slot_size
         network = RoadNetwork()

@@ -1,5 +1,5 @@
-"""Observation of the nearest other vehicles, and Gymnasium wrappers that add it and draw the number
-of vehicles.
+"""Observation of the nearest other vehicles, and Gymnasium wrappers that add it and sample the
+number of vehicles.
 """
 
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES
-from parking_exp.tasks.parking.scenes import FAR_M, drawn_number
+from parking_exp.tasks.parking.scenes import FAR_M, sampled_number
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
 """Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the
@@ -112,8 +112,8 @@ class NearbyVehicles(SeenByCar):
 
 
 class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
-    """Draw `vehicles_count` of parking-v0 anew at each reset, uniformly from `low` to `high`; see
-    `drawn_number`.
+    """Sample `vehicles_count` of parking-v0 anew at each reset, uniformly from `low` to `high`; see
+    `sampled_number`.
     """
 
     def __init__(self, env: gym.Env, low: int, high: int) -> None:
@@ -127,7 +127,7 @@ class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         rng = self.unwrapped.np_random if seed is None else gym.utils.seeding.np_random(seed)[0]
-        number = drawn_number(rng.bit_generator, self.low, self.high)
+        number = sampled_number(rng.bit_generator, self.low, self.high)
         options = dict(options or {})
         options["config"] = {**options.get("config", {}), "vehicles_count": number}
         return self.env.reset(seed=seed, options=options)

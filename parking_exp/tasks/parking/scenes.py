@@ -89,7 +89,7 @@ class Scenes:
         """Make highway-env's own scenes, those of `env.reset(seed=s)`, bit for bit.
 
         `vehicles_range` are the lowest and the highest number of parked cars, at most 26; see
-        `drawn_number`.
+        `sampled_number`.
         """
         heading = np.empty(len(seeds))
         number = np.empty(len(seeds), np.int64)
@@ -98,7 +98,7 @@ class Scenes:
         for row, seed in enumerate(seeds):
             # What gymnasium's `np_random(seed)` makes; Generator.choice draws as `integers` does.
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
-            number[row] = drawn_number(rng.bit_generator, *vehicles_range)
+            number[row] = sampled_number(rng.bit_generator, *vehicles_range)
             if n_obstacles:
                 obstacles[row] = places_of_scene(rng.bit_generator, n_obstacles)
             heading[row] = 2.0 * np.pi * rng.uniform()
@@ -113,12 +113,12 @@ class Scenes:
         vehicles_range: tuple[int, int] = (0, 0),
         n_obstacles: int = 0,
     ) -> "Scenes":
-        """Draw scenes from the same distribution, many at once."""
+        """Sample scenes from the same distribution, many at once."""
         low, high = vehicles_range
         heading = 2.0 * np.pi * rng.uniform(size=n)
         slots = rng.integers(N_SLOTS - 1 - np.arange(1 + high), size=(n, 1 + high))
         number = rng.integers(low, high + 1, n) if low < high else np.full(n, high)
-        obstacles = drawn_places(rng, n * n_obstacles).reshape(n, n_obstacles, 2)
+        obstacles = sampled_places(rng, n * n_obstacles).reshape(n, n_obstacles, 2)
         return Scenes._from_draws(heading, slots, number, obstacles)
 
     @staticmethod
@@ -166,11 +166,11 @@ def start_slot(heading: np.ndarray) -> np.ndarray:
     return np.where(above <= below, *_START_SLOTS)
 
 
-def drawn_number(bit_generator: Any, low: int, high: int) -> int:
+def sampled_number(bit_generator: Any, low: int, high: int) -> int:
     """Return the number of vehicles of a scene, uniform in low ... high, without using up its
     random generator.
 
-    The number is drawn by the scene's generator, jumped once: `env.reset(seed=s)` has
+    The number is sampled by the scene's generator, jumped once: `env.reset(seed=s)` has
     `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
     """
     if low == high:
@@ -178,8 +178,8 @@ def drawn_number(bit_generator: Any, low: int, high: int) -> int:
     return int(np.random.Generator(bit_generator.jumped()).integers(low, high + 1))
 
 
-def drawn_places(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Draw n places of obstacles, shape (n, 2) [m]: uniform in the aisle, but not where the car
+def sampled_places(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Sample n places of obstacles, shape (n, 2) [m]: uniform in the aisle, but not where the car
     starts.
     """
     places = np.empty((0, 2))
@@ -193,7 +193,7 @@ def drawn_places(rng: np.random.Generator, n: int) -> np.ndarray:
 def places_of_scene(bit_generator: Any, n: int) -> np.ndarray:
     """Return the places of a scene's obstacles, without using up its random generator.
 
-    They are drawn by that generator, jumped twice: `env.reset(seed=s)` has
-    `drawn_places(Generator(PCG64(SeedSequence(s)).jumped(2)), n)`.
+    They are sampled by that generator, jumped twice: `env.reset(seed=s)` has
+    `sampled_places(Generator(PCG64(SeedSequence(s)).jumped(2)), n)`.
     """
-    return drawn_places(np.random.Generator(bit_generator.jumped(2)), n)
+    return sampled_places(np.random.Generator(bit_generator.jumped(2)), n)

@@ -7,7 +7,7 @@ import pandas as pd
 import yaml
 from omegaconf import OmegaConf
 
-from parking_exp.tasks.parking.lot import HighwayLot, Lot, drawn_lot
+from parking_exp.tasks.parking.lot import HighwayLot, Lot, sampled_lot
 from parking_exp.tasks.parking.lot_config import LotConfig, bounds
 
 
@@ -27,7 +27,7 @@ def stored_lot(config: Mapping[str, Any]) -> Lot:
     else:
         return HighwayLot(bounds(env["vehicles_count"]), n_obstacles=0)
     lots = [LotConfig.model_validate(section) for section in sections]
-    return drawn_lot(lots, env["vehicles_count"])
+    return sampled_lot(lots, env["vehicles_count"])
 
 
 def _parsed(value: Any) -> Any:

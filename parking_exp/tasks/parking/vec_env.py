@@ -19,7 +19,7 @@ class ParkingVecEnv(BatchVecEnv):
 
     def __init__(self, config: ParkingConfig, n_envs: int) -> None:
         self.lot = lot_of(config) if config.starts == "lot" else GoalStarts(config)
-        simulator = Simulator(config, self.draw(np.random.default_rng(), n_envs))
+        simulator = Simulator(config, self.sample(np.random.default_rng(), n_envs))
         boxes = {}
         for key, values in simulator.observe().items():
             boxes[key] = spaces.Box(-np.inf, np.inf, values.shape[1:], np.float64)
@@ -42,6 +42,6 @@ class ParkingVecEnv(BatchVecEnv):
         """Return the scenes of some seeds."""
         return self.lot.from_seeds(seeds)
 
-    def draw(self, rng: np.random.Generator, number: int) -> Scenes:
+    def sample(self, rng: np.random.Generator, number: int) -> Scenes:
         """Return random scenes, of the same distribution."""
         return self.lot.random(rng, number)
