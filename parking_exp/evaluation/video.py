@@ -22,7 +22,7 @@ def record_video(
     for whatever drivers, bindings, shared libraries and the environment's own code raise.
     """
     try:
-        _record(policy, task, seeds, path, gif)
+        _write_files(policy, task, seeds, path, gif)
     except VideoError as error:
         return str(error)
     except (Exception, SystemExit) as error:
@@ -30,7 +30,7 @@ def record_video(
     return None
 
 
-def _record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool) -> None:
+def _write_files(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     stride = max(1, task.frame_rate // 5)  # of the GIF's frames: small enough for a README
     gif_frames = []

@@ -25,7 +25,7 @@ def record_training(run_dir: Path, config: RunConfig) -> None:
     """
     if unlisted_class(config) is None or was_trained_here(run_dir):
         return
-    record = _record()
+    record = _record_path()
     if record is not None:
         with suppress(OSError):
             record.parent.mkdir(parents=True, exist_ok=True)
@@ -35,7 +35,7 @@ def record_training(run_dir: Path, config: RunConfig) -> None:
 
 def was_trained_here(run_dir: Path) -> bool:
     """Return whether this user has trained a run in this place with its present config."""
-    record = _record()
+    record = _record_path()
     if record is None:
         return False
     try:
@@ -49,7 +49,7 @@ def _entry(run_dir: Path) -> str:
     return hashlib.sha256(os.fsencode(resolved(run_dir)) + b"\0" + content).hexdigest()
 
 
-def _record() -> Path | None:
+def _record_path() -> Path | None:
     """Return the file of the record; None for a user without a state directory."""
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
     if not state.is_absolute():  # which the XDG specification ignores

@@ -1,1 +1,1 @@
-"""Training one run: loop, callbacks, checkpoints, exact resume."""
+"""Training one run: its session, callbacks, checkpoints, exact resume."""

@@ -80,7 +80,7 @@ def add_demonstrations(
     try:
         if not path.exists():
             began_s = time.process_time()
-            n_successes = _record(config, model, demonstrations, on_progress)
+            n_successes = _record_episodes(config, model, demonstrations, on_progress)
             recording = Recording(time.process_time() - began_s, n_successes)
             with replacing(path) as temporary, temporary.open("wb") as file:
                 state = demonstrations.storage.get_state()
@@ -122,7 +122,7 @@ def _wait_for(lock: FileLock, on_progress: Callable[[], None]) -> None:
             on_progress()
 
 
-def _record(
+def _record_episodes(
     config: RunConfig,
     model: OffPolicyAlgorithm,
     buffer: HerBuffer,

@@ -20,11 +20,11 @@ from parking_exp.runs.run_provenance import record_provenance
 from parking_exp.runs.trained_here import record_training
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
-from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.run_session import RunSession
-from parking_exp.training.scripted_run import ScriptedRun
+from parking_exp.training.scripted_session import ScriptedSession
 from parking_exp.training.signals import StopRequest
 from parking_exp.training.trackers import RunTrackers
+from parking_exp.training.training_session import TrainingSession
 
 OnSaved = Callable[[RunDirectory], None]
 """A function that gets the directory of a run whenever something final was saved in it."""
@@ -89,11 +89,11 @@ def _train_and_evaluate(
     with ExitStack() as resources:
         session: RunSession
         if config.is_trained:
-            session = TrainingLoop(
+            session = TrainingSession(
                 config, directory, on_saved, trackers, checkpoint, stop, resources
             )
         else:
-            session = ScriptedRun(config, directory, trackers, stop, resources)
+            session = ScriptedSession(config, directory, trackers, stop, resources)
         try:
             session.learn()
             with session.final_policy():

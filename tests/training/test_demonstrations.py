@@ -16,7 +16,7 @@ from parking_exp.errors import ConfigError, InterruptedRunError, ModelError
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import demonstrations
-from parking_exp.training.loop import RolloutCallback
+from parking_exp.training.training_session import RolloutCallback
 
 SMOKE = (
     "experiment=smoke",
@@ -238,7 +238,7 @@ def _stop_at(step):
     def begin_or_stop(callback):
         begin(callback)
         if callback.num_timesteps >= step:
-            callback.loop.stop.signal_number = SIGTERM
+            callback.session.stop.signal_number = SIGTERM
 
     return begin_or_stop
 

@@ -22,7 +22,7 @@ from parking_exp.evaluation.video import record_video
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import checkpoints, rollout_state, run_session
-from parking_exp.training.loop import RolloutCallback, TrainingLoop
+from parking_exp.training.training_session import RolloutCallback, TrainingSession
 
 SMOKE = (
     "experiment=smoke",
@@ -199,7 +199,7 @@ def cut_in_the_third_evaluation():
                 lambda path: path.name == "state.pt" and "100" in path.parent.name,
             )
         ],
-        [lambda: cut(TrainingLoop, "save_final", lambda *_: True)] * 2,
+        [lambda: cut(TrainingSession, "save_final", lambda *_: True)] * 2,
     ],
     ids=["in an evaluation", "in a checkpoint", "between its end and its result, twice"],
 )
@@ -227,15 +227,15 @@ def test_a_run_whose_logs_and_newest_checkpoint_were_damaged(uninterrupted, tmp_
 def test_a_run_that_a_signal_stopped_between_checkpoints(uninterrupted, tmp_path, in_evaluation):
     """A checkpoint where none is due, without the evaluation that is, and with pending metrics."""
     config = configured(tmp_path)
-    original = TrainingLoop.evaluate if in_evaluation else RolloutCallback._on_step
+    original = TrainingSession.evaluate if in_evaluation else RolloutCallback._on_step
 
     def ask(self, *rest):
         if in_evaluation or self.num_timesteps >= 133:
-            (self if in_evaluation else self.loop).stop.signal_number = signal.SIGTERM
+            (self if in_evaluation else self.session).stop.signal_number = signal.SIGTERM
         return original(self, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(TrainingLoop if in_evaluation else RolloutCallback, original.__name__, ask)
+        patch.setattr(TrainingSession if in_evaluation else RolloutCallback, original.__name__, ask)
         with pytest.raises(InterruptedRunError) as stopped:
             train(config)
     assert stopped.tb is not None  # it refers to the logs, which would be closed with it

@@ -10,7 +10,7 @@ from parking_exp.config.allowlist import check_trust
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, UntrustedError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train
-from parking_exp.training import loop
+from parking_exp.training import training_session
 
 WRITES = "support.user_trackers.WritesJson"
 SHORT = (
@@ -51,7 +51,7 @@ def test_a_tracker_gets_the_config_each_row_of_metrics_and_the_end(tmp_path):
 
 def test_a_resumed_run_logs_what_comes_after_its_checkpoint(tmp_path, monkeypatch):
     run = config(tmp_path, WRITES, "evaluation.every_n_steps=50", "checkpoint.every_n_steps=50")
-    stop_if_asked = loop.TrainingLoop.stop_if_asked
+    stop_if_asked = training_session.TrainingSession.stop_if_asked
 
     def stop(self):
         if self.model.num_timesteps >= 100:
@@ -59,7 +59,7 @@ def test_a_resumed_run_logs_what_comes_after_its_checkpoint(tmp_path, monkeypatc
         stop_if_asked(self)
 
     with monkeypatch.context() as patch, pytest.raises(InterruptedRunError):
-        patch.setattr(loop.TrainingLoop, "stop_if_asked", stop)
+        patch.setattr(training_session.TrainingSession, "stop_if_asked", stop)
         train(run)
     assert calls(run.run_dir)[-1] == ["finish", "interrupted"]
     train(run)
@@ -83,7 +83,7 @@ def test_a_tracker_learns_that_its_run_has_failed(tmp_path, monkeypatch, disk_is
             raise OSError(errno.ENOSPC, "No space left on device")
         update(self, **entries)
 
-    monkeypatch.setattr(loop.TrainingLoop, "learn", fail)
+    monkeypatch.setattr(training_session.TrainingSession, "learn", fail)
     monkeypatch.setattr(RunDirectory, "update", update_if_there_is_room)
     with pytest.raises(FailedRunError, match="a loss of NaN"):
         train(run)

@@ -40,7 +40,7 @@ from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-from parking_exp.training import checkpoints, loop, run_session
+from parking_exp.training import checkpoints, run_session, training_session
 from parking_exp.training.seeds import cross_checked_seeds
 
 STEPS = [100, 200, 300, 400]
@@ -333,8 +333,8 @@ def test_two_processes_do_not_work_on_one_run(tmp_path):
     ("module", "failing", "made"),
     [
         (run_session, "make_logger", ["task"]),
-        (loop, "make_training_envs", ["task"]),
-        (loop, "build_model", ["envs", "task"]),
+        (training_session, "make_training_envs", ["task"]),
+        (training_session, "build_model", ["envs", "task"]),
     ],
 )
 def test_what_a_training_has_made_is_closed_if_it_fails_while_it_is_made(

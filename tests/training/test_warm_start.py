@@ -20,7 +20,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train
 from parking_exp.training import warm_start
 from parking_exp.training.checkpoints import latest
-from parking_exp.training.loop import RolloutCallback
+from parking_exp.training.training_session import RolloutCallback
 
 SMOKE = (
     "experiment=smoke",

@@ -43,10 +43,10 @@ def record_episodes(
     shapes = [scene_shapes(starts, row, walls=config.add_walls) for row in range(len(seeds))]
     simulator = Simulator(config, starts)
     outcomes = [""] * len(seeds)
-    history = [_record(simulator, np.zeros((2, len(seeds))), simulator.observe())]
+    history = [_record_step(simulator, np.zeros((2, len(seeds))), simulator.observe())]
     recorded = [np.arange(len(seeds))]
     for scenes, actions, step in rollout(policy, simulator, seeds):
-        history.append(_record(simulator, simulator.controls(actions), step.observation))
+        history.append(_record_step(simulator, simulator.controls(actions), step.observation))
         recorded.append(scenes)
         for row in np.flatnonzero(step.terminated | step.truncated):
             ending = outcome("crash", bool(step.failed[row]), bool(step.is_success[row]))
@@ -60,7 +60,9 @@ def record_episodes(
     return episodes
 
 
-def _record(simulator: Simulator, controls: np.ndarray, observation: Observation) -> np.ndarray:
+def _record_step(
+    simulator: Simulator, controls: np.ndarray, observation: Observation
+) -> np.ndarray:
     """Return what is recorded of a step: motion, then rays, shape (n, MOTION + rays)."""
     state = simulator.state
     motion = np.stack([*state.position, state.heading, state.speed, *controls], axis=1)

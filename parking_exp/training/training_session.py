@@ -1,4 +1,4 @@
-"""The training loop of a run: its model, envs and logs, with evaluations and checkpoints."""
+"""The session of a run that is trained: its model and envs, with evaluations and checkpoints."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -19,9 +19,7 @@ from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
 from parking_exp.evaluation.evaluate_policy import describe_rates, rank
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.metric_logs import (
-    MONITOR_FILE,
-)
+from parking_exp.runs.metric_logs import MONITOR_FILE
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints, demonstrations, rollout_state, warm_start
@@ -34,7 +32,7 @@ from parking_exp.training.trackers import RunTrackers
 BAR_UPDATES_PER_S = 5
 
 
-class TrainingLoop(RunSession):
+class TrainingSession(RunSession):
     """The training of one run in one process, from its start or from a checkpoint.
 
     Args:
@@ -188,22 +186,22 @@ class RolloutCallback(BaseCallback):
     yet.
     """
 
-    def __init__(self, loop: TrainingLoop) -> None:
+    def __init__(self, session: TrainingSession) -> None:
         super().__init__()
-        self.loop = loop
+        self.session = session
         self._next_update = 0.0
 
     def _on_rollout_start(self) -> None:
-        loop = self.loop
+        session = self.session
         step = self.num_timesteps
-        loop.restore_rollout_state()  # here, where it was saved
+        session.restore_rollout_state()  # here, where it was saved
         self._check_losses()
-        loop.average.update()
-        loop.stop_if_asked()
-        if _is_due(step, loop.progress.evaluated, loop.config.evaluation.every_n_steps):
-            loop.evaluate()
-        if _is_due(step, loop.progress.step, loop.config.checkpoint.every_n_steps):
-            loop.save_checkpoint()
+        session.average.update()
+        session.stop_if_asked()
+        if _is_due(step, session.progress.evaluated, session.config.evaluation.every_n_steps):
+            session.evaluate()
+        if _is_due(step, session.progress.step, session.config.checkpoint.every_n_steps):
+            session.save_checkpoint()
         now = time.monotonic()
         if now >= self._next_update:
             self._next_update = now + 1 / BAR_UPDATES_PER_S
@@ -231,7 +229,7 @@ class RolloutCallback(BaseCallback):
     def _update_bar(self) -> None:
         returns = [episode["r"] for episode in self.model.ep_info_buffer or ()]
         success_rate = _mean_or_none(self.model.ep_success_buffer or ())
-        self.loop.bar.update(self.num_timesteps, success_rate, _mean_or_none(returns))
+        self.session.bar.update(self.num_timesteps, success_rate, _mean_or_none(returns))
 
 
 def _mean_or_none(values: Iterable[float]) -> float | None:

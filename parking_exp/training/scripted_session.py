@@ -15,7 +15,7 @@ from parking_exp.training.signals import StopRequest
 from parking_exp.training.trackers import RunTrackers
 
 
-class ScriptedRun(RunSession):
+class ScriptedSession(RunSession):
     """A run that evaluates a scripted policy. It has no checkpoints."""
 
     step = 0
