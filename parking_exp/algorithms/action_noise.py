@@ -19,10 +19,10 @@ class EpsilonRandomActionNoise(NormalActionNoise):
     of the sums are uniform in [-1, 1], others at a bound.
 
     Args:
-        mean: of the normal noise, shape (actions,).
+        mean: the mean of the normal noise, shape (actions,).
         sigma: its standard deviation, shape (actions,).
         epsilon: probability of a random action at each step, in [0, 1].
-        dtype: of the noise.
+        dtype: the type of the noise.
     """
 
     def __init__(

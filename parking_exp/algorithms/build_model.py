@@ -35,11 +35,11 @@ def build_model(
     """Build the model that a config describes.
 
     Args:
-        config: the run.
-        task: of the run, or another with the same spaces.
+        config: the run's config.
+        task: the run's task, or another with the same spaces.
         env: training envs, or one env of the same spaces. The HER buffer relabels with their
             `goal_reward`.
-        seed: of weights, exploration and minibatches.
+        seed: the seed of weights, exploration and minibatches.
         for_training: False skips the replay buffer, for a model that only predicts.
 
     Raises:

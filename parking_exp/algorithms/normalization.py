@@ -70,8 +70,8 @@ class NormalizedExtractor(TaskFeatures):
     """Observation, achieved and desired goal, and further entries of the observation, normalised.
 
     Args:
-        observation_space: of a goal environment.
-        normalizer: shared by all networks of a policy.
+        observation_space: the observation space of a goal environment.
+        normalizer: the normalizer that is shared by all networks of a policy.
     """
 
     def __init__(self, observation_space: spaces.Dict, normalizer: Normalizer) -> None:

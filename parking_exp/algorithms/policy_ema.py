@@ -16,7 +16,7 @@ class PolicyEMA:
 
     Args:
         model: a Stable-Baselines3 model with an actor.
-        half_life: in gradient updates; None: no average, the actor as it is.
+        half_life: the half-life in gradient updates; None: no average, the actor as it is.
     """
 
     def __init__(self, model: OffPolicyAlgorithm, half_life: float | None) -> None:

@@ -74,11 +74,11 @@ def load_layers(
     """Load weights of a file into a network.
 
     Args:
-        network: whose layers are named without the prefix.
-        weights: by layer.
-        path: of the file, for the message.
-        prefix: of the names of layers in the message.
-        hint: end of the message.
+        network: the network, whose layers are named without the prefix.
+        weights: the weights by layer.
+        path: the path of the file, for the message.
+        prefix: the beginning of the names of layers in the message.
+        hint: the end of the message.
 
     Raises:
         ModelError: a layer is missing or has another shape, or there is one too many.

@@ -21,7 +21,7 @@ class EpisodeIndex:
 
     Attributes:
         steps: rows written since the start.
-        tail, head: of each env, the steps between which its whole episodes lie, shape (n_envs,).
+        tail, head: the steps of each env between which its whole episodes lie, shape (n_envs,).
         current: record ids of the episodes under way, or NO_EPISODE between two episodes, shape
             (n_envs,).
     """

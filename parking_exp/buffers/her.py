@@ -50,8 +50,8 @@ class HerBuffer(DictReplayBuffer):
             (Stable-Baselines3 issue 627). `env`: as in the env; if that ends episodes at their
             goal, as `goal_and_crash`, and transitions that start at the virtual goal are not
             relabelled. Otherwise the agent learns that standing still counts as success.
-        goal_velocity: of virtual goals: `achieved`, or `zero` as of real goals.
-        reward: of the env.
+        goal_velocity: the velocity of virtual goals: `achieved`, or `zero` as of real goals.
+        reward: the env's reward.
 
     Attributes:
         demonstrations: a buffer of the same class, of one env, from which `demonstration_share` of
@@ -120,7 +120,7 @@ class HerBuffer(DictReplayBuffer):
                 ended, the last one's.
             action: shape (n_envs, actions).
             reward, done: shape (n_envs,).
-            infos: of the envs; the reward's `failure_key` and `info_keys`, and
+            infos: the envs' infos; the reward's `failure_key` and `info_keys`, and
                 `TimeLimit.truncated` are read.
         """
         for env in np.flatnonzero(self.episodes.current == NO_EPISODE).tolist():
@@ -180,7 +180,7 @@ class HerBuffer(DictReplayBuffer):
         checkpoints save it.
 
         Args:
-            index: of the transitions that get virtual goals, shape (n,).
+            index: indices of the transitions that get virtual goals, shape (n,).
             record: their episodes: `start`, the row of the first transition, and `length`, shape
                 (n,).
         """

@@ -33,9 +33,9 @@ def evaluate_policy(
     every simulator.
 
     Args:
-        policy: what is evaluated.
-        task: on which it is evaluated.
-        seeds: of `env.reset`, each at most once.
+        policy: the policy that is evaluated.
+        task: the task on which it is evaluated.
+        seeds: seeds of `env.reset`, each at most once.
         on_step: called after each step of a batch, and while a scripted policy prepares for one,
             with the number of finished episodes; may raise to stop.
         simulator: one of the config's `simulators`; None: its `simulator`.

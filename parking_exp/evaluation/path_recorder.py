@@ -15,8 +15,8 @@ class PathRecorder:
     """The paths of some episodes, as far as they have been evaluated.
 
     Args:
-        task: that is evaluated; one without positions has no paths.
-        seeds: of the episodes whose paths are recorded.
+        task: the task that is evaluated; one without positions has no paths.
+        seeds: seeds of the episodes whose paths are recorded.
     """
 
     def __init__(self, task: Task, seeds: Sequence[int]) -> None:

@@ -50,11 +50,11 @@ def find_run(
     """Find a run by its directory, its MLflow run id, or `latest`.
 
     Args:
-        name: of the run.
+        name: the name of the run.
         output_dir: where it is looked for.
         having: a file of runs; `latest` is the one whose file was written last.
         others: other valid names, for suggestions.
-        key: of the config that has the name, for messages.
+        key: the key of the config that has the name, for messages.
 
     Raises:
         RunNotFoundError: no run matches; the message suggests the closest valid name.

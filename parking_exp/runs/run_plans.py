@@ -36,9 +36,9 @@ def write_plan(
     Nothing is written if the run is locked, or if another process has begun it since `started`.
 
     Args:
-        directory: of the run.
-        config: of the run.
-        label: of its cell in this plan.
+        directory: the run's directory.
+        config: the run's config.
+        label: the label of its cell in this plan.
         started: when the run was begun last, as the plan has read it.
         entries: other entries of status.json.
     """
@@ -86,7 +86,7 @@ def delete_plan(directory: RunDirectory, before: Callable[[], None]) -> bool:
     """Delete the directory of a run that never began, and its parents if they are empty then.
 
     Args:
-        directory: of the run.
+        directory: the run's directory.
         before: called first, with the run locked.
 
     Returns:

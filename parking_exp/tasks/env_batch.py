@@ -15,7 +15,7 @@ class EnvBatch(EvaluationBatch):
 
     Args:
         envs: an env for each episode; `info` of their steps has `is_success` and `failure_key`.
-        seeds: of the episodes, shape (n,).
+        seeds: the seeds of the episodes, shape (n,).
         failure_key: entry of `info` that is true where an episode ends badly.
     """
 

@@ -12,7 +12,7 @@ def check_finite(values: Mapping[str, Any], where: str) -> None:
     """Check arrays and numbers.
 
     Args:
-        values: by name, such as the entries of an observation.
+        values: arrays and numbers by name, such as the entries of an observation.
         where: where they are from, for the error: `at step 100`.
 
     Raises:

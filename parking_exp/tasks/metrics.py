@@ -124,7 +124,7 @@ def load_metrics(paths: Iterable[str], known: Sequence[Metric]) -> tuple[Metric,
     """Return metrics of a user's own package, by their dotted paths.
 
     Args:
-        paths: of the metrics.
+        paths: the dotted paths of the metrics.
         known: other metrics, whose names are taken.
 
     Raises:

@@ -126,7 +126,7 @@ class Task(ABC):
     episodes are rows of arrays is easier to write as a `VectorizedTask`.
 
     Attributes:
-        metrics: of an evaluation episode; `success` is always there.
+        metrics: the metrics of an evaluation episode; `success` is always there.
         failure: the outcome of an episode that ends badly, by its name in this task.
         monitored: entries of `info` that `monitor.csv` has of each training episode.
         batch_size: evaluation episodes that are stepped together.
@@ -227,7 +227,7 @@ class TaskReport:
 
     Attributes:
         methods: sentences on how results are defined.
-        sections: of the report.
+        sections: the sections of the report.
         rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of
             its runs, and from its config by dotted keys.
         drawn: returns what figures show of a cell beside its data, from the paths of one run (seed,

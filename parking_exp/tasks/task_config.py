@@ -17,8 +17,8 @@ class TaskConfig(ConfigModel):
         agent_keys: keys that evaluation takes from an agent's training, e.g. what the agent
             observes.
         training_keys: keys that do not change the episodes of an evaluation.
-        training_seeds: of the first training env, from which the others count up; those of
-            evaluation are smaller.
+        training_seeds: possible seeds of the first training env, from which the others count
+            up. Seeds of evaluation are smaller.
     """
 
     simulators: ClassVar[tuple[str, ...]]

@@ -64,7 +64,7 @@ def make_training_envs(
     """Make the monitored training envs of a task.
 
     Args:
-        task: of the run.
+        task: the run's task.
         n_envs: number of envs.
         monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are
             appended.

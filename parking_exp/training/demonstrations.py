@@ -63,8 +63,8 @@ def add_demonstrations(
     """Fill the room for the demonstrations of a run, from their file if there is one.
 
     Args:
-        config: of the run.
-        model: of the run, after `make_room`.
+        config: the run's config.
+        model: the run's model, after `make_room`.
         on_progress: called now and then with the number of recorded episodes; it may raise to
             stop.
 

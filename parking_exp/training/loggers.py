@@ -43,7 +43,7 @@ def make_logger(
         tracking: which outputs the run has.
         run_dir: where they are.
         metrics: the log of the run so far, which is continued.
-        label: of the run's cell; TensorBoard names a run by its folder.
+        label: the label of the run's cell; TensorBoard names a run by its folder.
         on_row: called with the step and the metrics of each new row.
     """
     table = CSVOutputFormat(str(run_dir / "progress.csv")) if tracking.csv else None

@@ -16,9 +16,9 @@ def plot_learning_curves(
 
     Args:
         log: the frame of `MetricsLog`.
-        metrics: of the task; those with a colour are drawn.
-        title: of the figure.
-        path: of the image.
+        metrics: the task's metrics; those with a colour are drawn.
+        title: the title of the figure.
+        path: the path of the image.
     """
     from matplotlib.figure import Figure
 

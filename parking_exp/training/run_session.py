@@ -28,10 +28,10 @@ class RunSession(ABC):
     """A run in one process, from its start or from a checkpoint.
 
     Args:
-        config: of the run.
-        directory: of the run.
-        trackers: which get each row of metrics.
-        progress: so far.
+        config: the run's config.
+        directory: the run's directory.
+        trackers: the trackers that get each row of metrics.
+        progress: the progress so far.
         stop: asks the run to stop.
         resources: closes the task, the logs and the progress bar.
     """

@@ -23,8 +23,8 @@ def derive_seeds(seed: int, training_seeds: range) -> RunSeeds:
     """Derive the seeds of a run's independent random generators from its one seed.
 
     Args:
-        seed: of the run.
-        training_seeds: of the task, from which that of the first training env is taken.
+        seed: the run's seed.
+        training_seeds: the task's seeds, from which that of the first training env is taken.
     """
     policy, training, cross_check = np.random.SeedSequence(seed).generate_state(3).tolist()
     return RunSeeds(policy % 2**31, training_seeds[training % len(training_seeds)], cross_check)

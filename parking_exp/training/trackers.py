@@ -15,7 +15,7 @@ class Tracker:
     """Base class of the classes that `tracking.trackers` names.
 
     Args:
-        config: of the run, as plain containers.
+        config: the run's config, as plain containers.
         run_dir: the run directory, absolute.
     """
 

@@ -44,8 +44,8 @@ def train_run(
     """Train a run from its latest whole checkpoint to its result, and describe its last episodes.
 
     Args:
-        config: of the run.
-        directory: of the run, whose locks are held.
+        config: the run's config.
+        directory: the run's directory, whose locks are held.
         stop: asks the run to save a checkpoint and stop.
         on_saved: called at the start, after each checkpoint, and when the run has ended.
 

@@ -36,11 +36,11 @@ class TrainingSession(RunSession):
     """The training of one run in one process, from its start or from a checkpoint.
 
     Args:
-        config: of the run.
-        directory: of the run.
+        config: the run's config.
+        directory: the run's directory.
         on_saved: called after each checkpoint.
-        trackers: which get each row of metrics.
-        checkpoint: from which the run is resumed, if any.
+        trackers: the trackers that get each row of metrics.
+        checkpoint: the checkpoint from which the run is resumed, if any.
         stop: asks the training to stop.
         resources: closes the task, its envs, the logs and the progress bar.
     """

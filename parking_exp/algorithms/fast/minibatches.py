@@ -15,13 +15,13 @@ class Minibatch(NamedTuple):
     """A minibatch of B transitions.
 
     Attributes:
-        features: of the observations, then of the next ones, shape (2 B, features).
+        features: features of the observations, then of the next ones, shape (2 B, features).
         actions: shape (B, actions).
         rewards: shape (B, 1).
-        discounts: of the next state's value, shape (B, 1): gamma, or 0 where the episode
-            terminated.
-        next_signs: of the next actions, shape (B, actions): -1 where a mirrored observation turns
-            them around.
+        discounts: factors of the next state's value, shape (B, 1): gamma, or 0 where the
+            episode terminated.
+        next_signs: signs of the next actions, shape (B, actions): -1 where a mirrored
+            observation turns them around.
     """
 
     features: torch.Tensor

@@ -22,7 +22,7 @@ class MLP:
     """Linear layers with ReLU between them, as Stable-Baselines3's `create_mlp` makes them.
 
     Args:
-        modules: of the network, in order; only the linear layers are used.
+        modules: the modules of the network, in order; only the linear layers are used.
 
     Attributes:
         layers: weight and bias of each.

@@ -33,11 +33,11 @@ class Adam:
     """Step a `torch.optim.Adam` with torch's own operations in their order.
 
     Args:
-        optimizer: with one parameter group.
-        parameters: of the optimizer.
+        optimizer: the optimizer, with one parameter group.
+        parameters: its parameters.
 
     Attributes:
-        gradients: to be written before `step`, in the order and shapes of the parameters.
+        gradients: what is to be written before `step`, in the order and shapes of the parameters.
     """
 
     def __init__(self, optimizer: torch.optim.Optimizer, parameters: FlatTensors) -> None:

@@ -26,7 +26,7 @@ class DrivenBatch:
 
     Args:
         batch: the episodes; their first six observations are the car's pose.
-        config: of the env.
+        config: the env's config.
     """
 
     def __init__(self, batch: EvaluationBatch, config: ParkingConfig) -> None:

@@ -36,7 +36,7 @@ class EgoFrameExtractor(TaskFeatures):
     nothing is seen it is 0, like the features of absent vehicles.
 
     Args:
-        observation_space: of the env.
+        observation_space: the env's observation space.
         features_dim: number of features of car and goal.
         lot_size_m: length and width of the lot, the scales of x and y.
         rays: number of rays in the observation.
@@ -140,8 +140,8 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     the goal, as tanh of the distance / 4 m; the rays.
 
     Args:
-        observation_space: of the env.
-        reward_weights: of the env.
+        observation_space: the env's observation space.
+        reward_weights: the env's weights of the reward.
         features_dim: number of features of car and goal, without that of a goal's speed.
         turned: whether the lot equals itself when it is turned by 180 degrees.
         lot: `lot_size_m` and `rays` of `EgoFrameExtractor`.
@@ -219,8 +219,8 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     goal is to the right.
 
     Args:
-        observation_space: of the env.
-        reward_weights: of the env.
+        observation_space: the env's observation space.
+        reward_weights: the env's weights of the reward.
         handed: whether the lot is not its own mirror image.
         lot: further arguments of `FineEgoFrameExtractor`.
     """

@@ -36,7 +36,7 @@ class FreeSpace:
         """Return where a car is too close to something.
 
         Args:
-            poses: of the middle of the car in each scene, shape (n, poses, 3) [m, m, rad].
+            poses: poses of the middle of the car in each scene, shape (n, poses, 3) [m, m, rad].
 
         Returns:
             A mask, shape (n, poses).

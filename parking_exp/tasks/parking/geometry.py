@@ -92,7 +92,7 @@ def may_overlap(
     All arguments have a shape that broadcasts to (2, ...), where the mask has the shape (...).
 
     Args:
-        offset: from the first centre to the second [m].
+        offset: the vector from the first centre to the second [m].
         direction, other_direction: cosine and sine of their headings.
         half_size, other_half_size: half their lengths and widths [m].
     """

@@ -35,7 +35,7 @@ class GoalStarts:
     are `Generator(PCG64(SeedSequence(s)).jumped(3)).random(N_DRAWS)`.
 
     Args:
-        config: of the env; `starts` is a key of `SHARES`.
+        config: the env's config; `starts` is a key of `SHARES`.
     """
 
     def __init__(self, config: ParkingConfig) -> None:
@@ -86,9 +86,9 @@ def drive(pose: np.ndarray, slip: np.ndarray, length_m: np.ndarray) -> np.ndarra
     """Return where a car gets on an arc, shape (..., 3) [m, m, rad].
 
     Args:
-        pose: from which it drives, shape (..., 3) [m, m, rad].
+        pose: the pose from which it drives, shape (..., 3) [m, m, rad].
         slip: `slip_angle` of its steering, shape (...) [rad].
-        length_m: of the arc of its middle, negative in reverse, shape (...).
+        length_m: the length of the arc of its middle, negative in reverse, shape (...).
     """
     turn = length_m * np.sin(slip) / (CAR_LENGTH_M / 2)
     chord = length_m * np.sinc(turn / (2 * np.pi))

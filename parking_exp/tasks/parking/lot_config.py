@@ -213,7 +213,7 @@ class LotConfig(ConfigModel):
         """Yield a sentence for each reason why there can't be such a lot.
 
         Args:
-            key: of the section that describes the lot, such as `env.lot`.
+            key: the key of the section that describes the lot, such as `env.lot`.
             vehicles: the lowest and the highest number of parked cars.
             walls: whether there are walls around the lot.
         """

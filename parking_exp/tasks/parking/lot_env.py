@@ -85,9 +85,9 @@ class LotEnv(ParkingEnv):
         """Return the reward of goals, shape (6,) or (batch, 6), without a penalty for crashes.
 
         Args:
-            achieved_goal, desired_goal: as the observation has them.
-            info: of the step, or a list of one for each goal. Without the size of the slot, one
-                dict stands for the present scene.
+            achieved_goal, desired_goal: goals as the observation has them.
+            info: the step's `info`, or a list of one for each goal. Without the size of the slot,
+                one dict stands for the present scene.
             p: unused.
 
         Raises:

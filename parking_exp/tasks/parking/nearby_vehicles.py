@@ -26,9 +26,9 @@ def nearest_vehicles(
     Where there are fewer than `count`, all entries of the others are 0.
 
     Args:
-        position: of the cars, shape (n, 2) [m].
+        position: positions of the cars, shape (n, 2) [m].
         others: positions of the other vehicles, shape (n, vehicles, 2) [m].
-        heading: of the other vehicles, shape (n, vehicles) [rad].
+        heading: headings of the other vehicles, shape (n, vehicles) [rad].
         count: number of vehicles that are seen.
     """
     offset = others - position[:, None]

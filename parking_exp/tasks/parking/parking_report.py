@@ -37,7 +37,7 @@ def outcome_rates(
     """Return the rates of outcomes over final episodes (scene, outcome), by a number of the scene.
 
     Args:
-        episodes: of all runs.
+        episodes: the final episodes of all runs.
         key: the name of that number.
         of_scene: the number of each scene.
 
@@ -58,7 +58,7 @@ def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, 
 
     Args:
         runs: a frame of final episodes (scene, outcome) for each run.
-        config: of the cell, by dotted keys.
+        config: the cell's config, by dotted keys.
     """
     if not runs:
         return {}
@@ -85,9 +85,9 @@ def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing | None:
     where that slot is drawn.
 
     Args:
-        paths: of the final episodes of one run (scene, step, outcome, and PATH_COLUMNS if there
-            are any).
-        config: of the cell, by dotted keys.
+        paths: paths of the final episodes of one run (scene, step, outcome, and PATH_COLUMNS if
+            there are any).
+        config: the cell's config, by dotted keys.
     """
     lot = stored_lot(config)
     if isinstance(lot, SeveralLots):

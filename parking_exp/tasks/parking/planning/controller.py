@@ -22,7 +22,7 @@ def controls(
         references: rows of their trajectories, shape (n, REFERENCE).
         sharpest: the largest curvature that the rear axle can have [1/m].
         dt: length of a frame of the simulation [s].
-        frames: of a policy step.
+        frames: the number of frames of a policy step.
     """
     position, velocity, direction = np.split(poses.T, 3)
     ref_heading, _, next_speed, curvature, forward = references.T[2:]

@@ -28,12 +28,12 @@ def plan_path(
     """Return a path from one pose of the rear axle to another, or the start if none was found.
 
     Args:
-        start, goal: shape (3,) [m, m, rad].
-        space: in which the path lies.
+        start, goal: poses, shape (3,) [m, m, rad].
+        space: the free space, in which the path lies.
         planner: the name of a class in `ompl.geometric`.
         radius_m: the smallest radius of the rear axle.
-        time_limit_s: CPU time.
-        seed: of OMPL's random numbers, above 0.
+        time_limit_s: the largest CPU time.
+        seed: the seed of OMPL's random numbers, above 0.
 
     Returns:
         Poses that are close to each other, shape (n, 3); headings do not jump.

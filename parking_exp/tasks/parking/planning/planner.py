@@ -43,8 +43,8 @@ class Planner(ScriptedPolicy):
     """Plans a path on the map of a scene, and follows it; without a path, the car stands.
 
     Args:
-        task: parking.
-        seed: of its random numbers, together with the scene's.
+        task: the parking task.
+        seed: the seed of its random numbers, together with the scene's.
         planner: the name of one of OMPL's planners.
         margin_m: the distance of paths to everything else.
         time_limit_s: CPU time for the path of a scene.

@@ -31,7 +31,7 @@ def trajectory(path: np.ndarray, pace: Pace) -> np.ndarray:
 
     Args:
         path: poses, shape (n, 3) [m, m, rad].
-        pace: at most.
+        pace: the highest speed and acceleration.
     """
     parts = []
     if len(path) > 1:

@@ -46,7 +46,7 @@ def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.
 
     Args:
         polygons: corners of a and b, shape (n, 2, 4, 2).
-        displacement: of a relative to b within the next frame, shape (n, 2).
+        displacement: the motion of a relative to b within the next frame, shape (n, 2).
 
     Returns:
         intersecting: whether they overlap now, shape (n,).

@@ -254,7 +254,8 @@ class Simulator:
         """Return the scenes where a car may touch a parked one in its place.
 
         Args:
-            reach: of the cars for centres of parked ones, shape (n,) [m].
+            reach: the distances within which cars may touch the centres of parked ones, shape (n,)
+                [m].
             swept: half length and half width of a rectangle around each car that it doesn't leave
                 in the step, shape (2, n) [m].
         """
