@@ -10,8 +10,8 @@ def import_object(path: str, setting: str = "") -> Any:
     """Import the object at a dotted path, such as a class or a function.
 
     Args:
-        path: of the object: its module, a dot and its name.
-        setting: that names it, with which the message of an error begins.
+        path: the path of the object: its module, a dot and its name.
+        setting: the setting that names it, with which the message of an error begins.
 
     Raises:
         ConfigError: it does not exist, or its module cannot be imported.

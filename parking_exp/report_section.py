@@ -56,7 +56,8 @@ class Table:
 
     name: str  # of its files; unique
     rows: Sequence[Row]  # all values
-    # What people read, see `without_constants`. Without any, the table is for CSV alone.
+    # What people read, see `without_constants` in `reports.tables.table`. Without any, the table is
+    # for CSV alone.
     columns: Sequence[Column] = ()
     caption: str = ""
     latex: bool = False  # whether it is written as LaTeX, too

@@ -322,7 +322,7 @@ class RunConfig(OutputConfig):
         """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step`
         exact.
 
-        Values of the `algorithm` section take precedence; `rules.check_update_ratio` refuses those
+        Values of the `algorithm` section take precedence; `rules.update_ratio_problems` names those
         of another ratio. -1 updates are as many as env steps.
         """
         train_freq = self.algorithm.arguments.get("train_freq")

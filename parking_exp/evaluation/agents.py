@@ -173,7 +173,7 @@ def load_model(
 
     Args:
         run: run directory, MLflow run id, `latest`, `pretrained` or `pretrained/NAME`.
-        output_dir: where runs are looked for.
+        output_dir: the directory in which runs are looked for.
         model: which of a run's models.
         trust: accept classes in its config that are not on the list of known ones. A run that you
             trained here does not need it.

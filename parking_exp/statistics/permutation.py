@@ -4,14 +4,30 @@ import itertools
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 MAX_EPISODES = 10_000  # of a rate
+MAX_RATE_STEPS = 10**9  # where the numbers of episodes differ
 RATE_STEPS = 20_000  # rates that are no shares of so many episodes are rounded to 0.005 points
-MAX_DIFFERENCE_STEPS = 200_000  # in a difference of 1
+MAX_DIFFERENCE_STEPS = 200_000  # of a difference of 1, where strata are summed
 MAX_COUNTS = 20_000_000  # of sums: with more, rates are rounded further, to fit into memory
+
+
+class _Assignments(NamedTuple):
+    """The differences of means in all assignments of seeds to two cells.
+
+    Attributes:
+        observed: the difference in the assignment that was made, in any unit.
+        differences: all possible ones, in the same unit, shape (n,).
+        shares: of the assignments that have each difference, shape (n,).
+    """
+
+    observed: int
+    differences: np.ndarray
+    shares: np.ndarray
 
 
 def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
@@ -21,29 +37,25 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     difference is at least as far from 0. Whatever the distribution of the seeds, equal cells have a
     p of at most x with a probability of at most x. Swapping the cells does not change it.
 
-    Args:
-        strata: pairs of rates in 0 ... 1, shapes (n_a,) and (n_b,). Shares of up to MAX_EPISODES
-            episodes are exact, others are rounded.
-    """
-    from scipy.signal import fftconvolve
+    A single stratum is exact where rates are shares of at most MAX_EPISODES episodes, unless sums
+    have to be rounded to fit into memory. Several strata are exact where the number of episodes,
+    times the least common multiple of the cells' sizes, is at most MAX_DIFFERENCE_STEPS.
 
+    Args:
+        strata: pairs of rates in 0 ... 1, shapes (n_a,) and (n_b,).
+    """
     cells = [*itertools.chain(*strata)]
     rate_steps = _choose_rate_steps(np.concatenate(cells))
-    # All differences are multiples of such a step, unless cells have many different sizes.
-    n_steps = rate_steps * math.lcm(*map(np.size, cells))
-    n_steps = min(n_steps, MAX_DIFFERENCE_STEPS)
+    assignments = [_assign(a, b, rate_steps) for a, b in strata]
+    total = assignments[0]
+    if len(assignments) > 1:
+        n_steps = min(rate_steps * math.lcm(*map(np.size, cells)), MAX_DIFFERENCE_STEPS)
+        units = [rate_steps * np.size(a) * np.size(b) for a, b in strata]
+        total = _add(assignments, units, n_steps)
 
-    observed = 0
-    shares = np.ones(1)
-    for a, b in strata:
-        observed_in_stratum, shares_in_stratum = _share_differences(a, b, rate_steps, n_steps)
-        observed += observed_in_stratum
-        shares = fftconvolve(shares, shares_in_stratum)
-
-    differences = np.arange(len(shares)) - len(shares) // 2
-    as_far = np.abs(differences) >= abs(observed)
-    p = math.fsum(shares[as_far])
-    return min(1.0, max(0.0, p))  # the convolution is not exact to the last digit
+    as_far = np.abs(total.differences) >= abs(total.observed)
+    p = math.fsum(total.shares[as_far])
+    return min(1.0, max(0.0, p))  # sums of shares are not exact to the last digit
 
 
 def _choose_rate_steps(rates: np.ndarray) -> int:
@@ -52,43 +64,56 @@ def _choose_rate_steps(rates: np.ndarray) -> int:
     Equal sums have to stay equal. With 300 episodes, rates that were rounded would break ties.
     """
     shares = [Fraction(rate).limit_denominator(MAX_EPISODES) for rate in rates]
-    n_steps = math.lcm(*[share.denominator for share in shares])
     are_shares = np.allclose(rates, np.array(shares, dtype=float), rtol=0, atol=1e-12)
-    if are_shares and n_steps <= MAX_DIFFERENCE_STEPS:
+    n_steps = math.lcm(*[share.denominator for share in shares])
+    if are_shares and n_steps <= MAX_RATE_STEPS:
         return n_steps
     return RATE_STEPS
 
 
-def _share_differences(
-    a: ArrayLike, b: ArrayLike, rate_steps: int, n_steps: int
-) -> tuple[int, np.ndarray]:
-    """Return the observed difference, and the share of the assignments that have each difference.
+def _assign(a: ArrayLike, b: ArrayLike, rate_steps: int) -> _Assignments:
+    """Assign the seeds of two cells in all ways; differences are in 1 / (rate_steps * n_a * n_b).
 
-    Rates are rounded to 1 / rate_steps, differences to 1 / n_steps. The shares are those of the
-    differences -d, ..., 0, ..., d.
+    Rates are rounded to 1 / rate_steps.
     """
     if np.size(a) > np.size(b):  # fewer sums are counted for the smaller cell
-        observed, shares = _share_differences(b, a, rate_steps, n_steps)
-        return -observed, shares[::-1]
+        swapped = _assign(b, a, rate_steps)
+        return _Assignments(-swapped.observed, -swapped.differences, swapped.shares)
 
     n_a = np.size(a)
     n_b = np.size(b)
     both = np.rint(np.concatenate([a, b]) * rate_steps).astype(int)
     above_lowest = both - both.min()
-    step = np.gcd.reduce(above_lowest)  # e.g. 40 for rates of 500 episodes
-    step = max(step, math.ceil(above_lowest.sum() * n_a / MAX_COUNTS), 1)
-    seeds = above_lowest // step
+    step = max(int(np.gcd.reduce(above_lowest)), 1)  # e.g. 40 for rates of 500 episodes
+    step *= max(math.ceil(above_lowest.sum() / step * n_a / MAX_COUNTS), 1)
+    seeds = np.rint(above_lowest / step).astype(int)
     total = seeds.sum()
     sums_of_a = np.arange(total + 1)
-    differences_of_means = sums_of_a / n_a - (total - sums_of_a) / n_b
-    differences = np.rint(differences_of_means * step / rate_steps * n_steps).astype(int)
-
-    farthest = np.abs(differences).max()
-    shares = np.bincount(
-        differences + farthest, weights=_share_sums(seeds, n_a), minlength=2 * farthest + 1
-    )
+    differences = step * (sums_of_a * (n_a + n_b) - total * n_a)
     observed = differences[seeds[:n_a].sum()]
-    return int(observed), shares
+    return _Assignments(int(observed), differences, _share_sums(seeds, n_a))
+
+
+def _add(assignments: list[_Assignments], units: list[int], n_steps: int) -> _Assignments:
+    """Add the differences of strata, of which a difference of 1 has so many `units`.
+
+    They are rounded to 1 / n_steps.
+    """
+    from scipy.signal import fftconvolve
+
+    observed = 0
+    shares = np.ones(1)
+    for stratum, unit in zip(assignments, units, strict=True):
+        differences = np.rint(stratum.differences / unit * n_steps).astype(int)
+        farthest = np.abs(differences).max()
+        shares_in_stratum = np.bincount(
+            differences + farthest, weights=stratum.shares, minlength=2 * farthest + 1
+        )
+        shares = fftconvolve(shares, shares_in_stratum)
+        observed += round(stratum.observed / unit * n_steps)
+
+    differences = np.arange(len(shares)) - len(shares) // 2
+    return _Assignments(observed, differences, shares)
 
 
 def _share_sums(seeds: np.ndarray, size: int) -> np.ndarray:

@@ -34,7 +34,7 @@ class WorkerProcess:
 
     Args:
         path: the run directory, with its config.
-        cores: that it may use, with a thread each; none: all.
+        cores: the cores that it may use, with a thread each; none: all.
         device: CUDA device that it may use; None: all.
         start_method: how it starts.
     """

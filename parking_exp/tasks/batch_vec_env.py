@@ -33,7 +33,7 @@ class TrainingBatch(EvaluationBatch, Protocol):
 class BatchVecEnv(VecEnv):
     """VecEnv of a batch of episodes; an env starts a new episode when its own ends.
 
-    After `seed(s)`, `reset()` starts the episodes of the seeds s, s + 1, .... Later ones are
+    After `seed(s)`, `reset()` starts the episodes of the seeds s, s + 1 and so on. Later ones are
     sampled by a generator seeded with s.
     """
 

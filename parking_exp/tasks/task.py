@@ -68,7 +68,7 @@ class Policy(ABC):
     """What chooses the actions of episodes that are stepped together.
 
     Attributes:
-        max_batch_size: the largest number of episodes that it acts in at once.
+        max_batch_size: the largest number of episodes that an evaluation gives it at once.
     """
 
     max_batch_size = sys.maxsize
@@ -96,15 +96,19 @@ class Policy(ABC):
 class EvaluationBatch(Protocol):
     """Episodes that are stepped together, each from its own seed; none is ever reset by itself."""
 
+    @abstractmethod
     def __len__(self) -> int:
         """Return the number of episodes that are under way."""
 
+    @abstractmethod
     def observe(self) -> Observation:
         """Return the observations of all episodes."""
 
+    @abstractmethod
     def step(self, actions: np.ndarray) -> Step:
         """Step all episodes; actions have the shape (n, actions)."""
 
+    @abstractmethod
     def keep(self, rows: np.ndarray) -> None:
         """Keep only some of the episodes, by mask."""
 

@@ -56,7 +56,7 @@ def test_results_of_a_pretrained_agent_follow_no_link_out_of_the_output_director
             "parked_rate",
             0.98,
         ),  # of 500 scenes 99.8 %, see its card
-        ("pretrained/parallel", "parking_parallel", "parked_rate", 0.98),  # of 500 98.8 %
+        ("pretrained/parallel", "parking_parallel", "parked_rate", 1.0),
     ],
 )
 def test_pretrained_agents_park(name, env, metric, rate, tmp_path):

@@ -146,7 +146,7 @@ def test_interval_is_the_same_in_every_call_and_order_of_the_seeds(rates, random
 # Pairs
 
 
-def enumerate_assignments(strata):
+def enumerate_assignments(strata, rounding=1e-9):
     """p by the definition: the share of all assignments that are as far apart."""
     differences = [0.0]
     observed = 0.0
@@ -158,7 +158,7 @@ def enumerate_assignments(strata):
             is_a = np.isin(np.arange(len(pooled)), chosen)
             in_stratum.append(pooled[is_a].mean() - pooled[~is_a].mean())
         differences = np.add.outer(differences, in_stratum).ravel()
-    return np.mean(np.abs(differences) >= abs(observed) - 1e-9)
+    return np.mean(np.abs(differences) >= abs(observed) - rounding)
 
 
 @st.composite
@@ -184,6 +184,20 @@ def test_ties_count_whatever_the_number_of_episodes():
     a = np.array([300, 300, 300, 298, 300]) / 300
     b = np.array([294, 299, 298, 299, 299]) / 300
     assert permutation_p([(a, b)]) == pytest.approx(34 / 252)
+
+
+@pytest.mark.parametrize(
+    ("n_a", "episodes_a", "n_b", "episodes_b"),
+    [(5, 500, 5, 499), (7, 7777, 6, 7777), (6, 2000, 4, 9999), (3, 100, 5, 10_000)],
+)
+def test_p_is_exact_with_many_or_different_numbers_of_episodes(n_a, episodes_a, n_b, episodes_b):
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        # One to three failures each, so that ties are frequent.
+        a = 1 - rng.integers(1, 4, n_a) / episodes_a
+        b = 1 - rng.integers(1, 4, n_b) / episodes_b
+        p = permutation_p([(a, b)])
+        assert p == pytest.approx(enumerate_assignments([(a, b)], 1e-12), abs=1e-12)
 
 
 def test_rates_of_ten_thousand_episodes_are_told_apart():
@@ -429,6 +443,12 @@ def highest_share(level, draws):
     """1.2 times the level, and three standard errors of the simulation."""
     share = 1.2 * level
     return share + 3 * math.sqrt(share * (1 - share) / draws)
+
+
+def test_a_verdict_of_ten_pairs_does_not_tell_40_from_50_percent_with_ten_seeds_and_of_one_does():
+    pair = (Rates(0.4, 0.05), Rates(0.5, 0.05))
+    assert not simulation.decides(*pair, 10, n_pairs=10, draws=40).any()
+    assert simulation.decides(*pair, 10, n_pairs=1, draws=40).mean() > 0.75
 
 
 def test_equal_cells_of_which_one_seed_in_ten_collapses_rarely_differ_significantly():

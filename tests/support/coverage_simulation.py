@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parking_exp.reports.cell_comparisons import judge
 from parking_exp.statistics import SeedRates, compare, coverage_note, mean_interval
 from parking_exp.statistics.permutation import permutation_p
 
@@ -157,8 +158,7 @@ def decides(a, b, n, n_pairs=1, draws=500, episodes=500):
     for row_a, row_b in zip(first, second, strict=True):
         pair = ([SeedRates(row_a, episodes)], [SeedRates(row_b, episodes)])
         difference = compare([pair], n_pairs=n_pairs)[0]
-        excludes_0 = difference.low > 0 or difference.high < 0
-        decided.append(difference.p_corrected < 0.05 and excludes_0)
+        decided.append(judge(difference) in ("a", "b"))
     return np.array(decided)
 
 

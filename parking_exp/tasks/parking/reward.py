@@ -2,7 +2,7 @@
 lots.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -25,7 +25,7 @@ class ParkingReward(GoalReward):
 
     weights: np.ndarray  # of the features' distances, shape (6,)
     threshold: float  # the dense reward above which a goal counts as reached
-    failure_penalty: float  # what a crash adds to the reward
+    failure_penalty: float = field()  # what a crash adds to the reward; the base has a default
     # Whether the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance.
     sparse: bool
     standing_reward: float  # added where the car stands outside its slot; `LotReward` only
