@@ -170,7 +170,7 @@ def test_rays_are_stored_and_part_of_a_runs_key():
     assert (observation["rays"], observation["rays_range_m"]) == (8, 20)
     assert {"env.observation.rays", "env.observation.rays_range_m"} <= TRAINING_ONLY
     kwargs = [ParkingTask(config.env).features("ego_mirrored")[1] for config in configs]
-    assert "rays" not in kwargs[0]
+    assert kwargs[0]["rays"] == 0
     assert kwargs[1] == kwargs[0] | {"rays": 8}
 
 
