@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike
 MAX_EPISODES = 10_000  # of a rate
 MAX_RATE_STEPS = 10**9  # where the numbers of episodes differ
 RATE_STEPS = 20_000  # rates that are no shares of so many episodes are rounded to 0.005 points
-MAX_DIFFERENCE_STEPS = 200_000  # of a difference of 1, where strata are summed
+MAX_SUMMED_STEPS = (
+    2_000_000  # of differences of 1 in all strata that are summed, which takes seconds
+)
 MAX_COUNTS = 20_000_000  # of sums: with more, rates are rounded further, to fit into memory
 
 
@@ -38,8 +40,8 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     p of at most x with a probability of at most x. Swapping the cells does not change it.
 
     A single stratum is exact where rates are shares of at most MAX_EPISODES episodes, unless sums
-    have to be rounded to fit into memory. Several strata are exact where the number of episodes,
-    times the least common multiple of the cells' sizes, is at most MAX_DIFFERENCE_STEPS.
+    have to be rounded to fit into memory. Several strata are exact where their number, times that
+    of episodes, times the least common multiple of the cells' sizes, is at most MAX_SUMMED_STEPS.
 
     Args:
         strata: pairs of rates in 0 ... 1, shapes (n_a,) and (n_b,).
@@ -49,7 +51,8 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     assignments = [_assign(a, b, rate_steps) for a, b in strata]
     total = assignments[0]
     if len(assignments) > 1:
-        n_steps = min(rate_steps * math.lcm(*map(np.size, cells)), MAX_DIFFERENCE_STEPS)
+        n_steps = rate_steps * math.lcm(*map(np.size, cells))
+        n_steps = min(n_steps, MAX_SUMMED_STEPS // len(strata))
         units = [rate_steps * np.size(a) * np.size(b) for a, b in strata]
         total = _add(assignments, units, n_steps)
 
