@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 MAX_EPISODES = 10_000  # of a rate
-MAX_RATE_STEPS = 10**9  # where the numbers of episodes differ
-RATE_STEPS = 20_000  # rates that are no shares of so many episodes are rounded to 0.005 points
-MAX_SUMMED_STEPS = (
-    2_000_000  # of differences of 1 in all strata that are summed, which takes seconds
-)
+MAX_RATE_STEPS = 10**9  # keeps sums within 64 bits where seeds have different numbers of episodes
+RATE_STEPS = 20_000  # other rates are rounded to 0.005 points
+MAX_SUMMED_STEPS = 2_000_000  # of all strata: a sum of 20 strata then takes seconds
 MAX_COUNTS = 20_000_000  # of sums: with more, rates are rounded further, to fit into memory
 
 

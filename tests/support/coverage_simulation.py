@@ -125,20 +125,24 @@ def of_mean(rates, n, draws=DRAWS, episodes=100):
     return np.array([interval.low <= rates.truth <= interval.high for interval in intervals])
 
 
+def differences(a, b, n, draws, episodes, alpha=0.05, n_pairs=1):
+    """Return what `compare` says of a pair in each of the draws."""
+    first = a.measured(n, draws, 2, episodes)
+    second = b.measured(n, draws, 3, episodes)
+    compared = []
+    for row_a, row_b in zip(first, second, strict=True):
+        pair = ([SeedRates(row_a, episodes)], [SeedRates(row_b, episodes)])
+        compared += compare([pair], alpha, n_pairs)
+    return compared
+
+
 def of_difference(a, b, n, draws=DRAWS, episodes=100, alpha=0.05):
     """Return in which of the draws the interval of `compare` at the level 1 - alpha holds the
     difference.
     """
-    rows = zip(
-        *(side.measured(n, draws, seed, episodes) for side, seed in ((a, 2), (b, 3))), strict=True
-    )
-    differences = [
-        compare([([SeedRates(row_a, episodes)], [SeedRates(row_b, episodes)])], alpha)[0]
-        for row_a, row_b in rows
-    ]
-    return np.array(
-        [difference.low <= a.truth - b.truth <= difference.high for difference in differences]
-    )
+    truth = a.truth - b.truth
+    compared = differences(a, b, n, draws, episodes, alpha)
+    return np.array([difference.low <= truth <= difference.high for difference in compared])
 
 
 def p_values(a, b, n, draws=DRAWS, episodes=100):
@@ -152,14 +156,8 @@ def p_values(a, b, n, draws=DRAWS, episodes=100):
 
 def decides(a, b, n, n_pairs=1, draws=500, episodes=500):
     """Return in which of the draws a report says "better" or "worse" in a family of `n_pairs`."""
-    decided = []
-    first = a.measured(n, draws, 2, episodes)
-    second = b.measured(n, draws, 3, episodes)
-    for row_a, row_b in zip(first, second, strict=True):
-        pair = ([SeedRates(row_a, episodes)], [SeedRates(row_b, episodes)])
-        difference = compare([pair], n_pairs=n_pairs)[0]
-        decided.append(judge(difference) in ("a", "b"))
-    return np.array(decided)
+    compared = differences(a, b, n, draws, episodes, n_pairs=n_pairs)
+    return np.array([judge(difference) in ("a", "b") for difference in compared])
 
 
 def speaks(rates, n, draws=400):
