@@ -8,6 +8,7 @@ import os
 import re
 import socket
 import stat
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BufferedReader
@@ -155,8 +156,12 @@ def read_object(path: Path) -> dict[str, Any]:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's content, in hex; raises as `read_file`."""
-    with open_file(path) as file:
+    """Return the SHA-256 of a file's content, in hex.
+
+    The file may be of any size, as the replay buffer of a checkpoint is. Otherwise raises as
+    `read_file`.
+    """
+    with open_file(path, sys.maxsize) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

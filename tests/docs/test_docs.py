@@ -186,6 +186,17 @@ def test_the_task_of_the_extending_page_is_learned(output_dir, tmp_path, monkeyp
     assert -1 <= metrics["final/end_x_mean"] <= 1
 
 
+def test_the_policy_of_the_extending_page_succeeds_without_training(
+    output_dir, tmp_path, monkeypatch
+):
+    write_examples(EXTENDING, tmp_path, "python", "yaml")
+    monkeypatch.syspath_prepend(tmp_path)
+    overrides = ("env=reach", "algorithm=straight", f"output_dir={output_dir}")
+    config = compose(*overrides, "tracking.mlflow=false", config_dir=tmp_path / "my_conf")
+    result = train(config)
+    assert result.metrics["final/success_rate"] == 1
+
+
 def test_the_tracker_of_the_extending_page_has_each_value(output_dir, tmp_path, monkeypatch):
     write_examples(EXTENDING, tmp_path, "python")
     monkeypatch.syspath_prepend(tmp_path)

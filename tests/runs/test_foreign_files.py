@@ -16,6 +16,7 @@ from parking_exp.runs.atomic_files import (
     read_json,
     read_object,
     replacing,
+    sha256,
     write_json,
 )
 from parking_exp.runs.directory import RunDirectory
@@ -95,6 +96,15 @@ def test_no_more_is_read_than_a_file_can_have(tmp_path, limit, name):
             ConfigError, match=r"config.yaml can't be read: It has more than 1,048,576 bytes$"
         ):
             read_config(tmp_path, tmp_path)
+
+
+def test_files_of_any_size_have_a_hash(tmp_path):
+    """The replay buffer of a checkpoint grows with the number of env steps."""
+    path = tmp_path / "replay_buffer.npz"
+    with path.open("wb") as file:
+        file.truncate(MAX_LARGE + 1)
+    digest = "b8030a8ab89280935633d8d991da3d9907c0f12e8b6fc3bfc515f4d440872b6e"
+    assert sha256(path) == digest
 
 
 def test_loops_of_links_count_no_run_twice(tmp_path):
