@@ -45,6 +45,7 @@ PUBLIC_PATHS = (
     "parking_exp.tasks.parking.simulator.Simulator",
     "parking_exp.tasks.parking.vec_env.ParkingVecEnv",
     "parking_exp.tasks.metrics.Metric",
+    "parking_exp.tasks.scripted_policy.ScriptedPolicy",
     "parking_exp.tasks.task.Task",
     "parking_exp.tasks.vectorized_task.VectorizedTask",
     "parking_exp.results.load",
