@@ -62,7 +62,7 @@ MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results
 COLUMNS = {
     "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
     "crash": ("crash, % (range)", lambda cell: _range(cell, "crash")),
-    "parked": ("parked, %", lambda cell: formats.percent_interval(cell.metric("parked"))),
+    "parked": ("parked, %", lambda cell: formats.percent_interval(cell.metrics["parked"])),
     "lowest": ("lowest", lambda cell: formats.percent(cell.lowest)),
     "iqm": ("IQM", lambda cell: formats.percent(cell.iqm)),
     "at_95": ("seeds ≥ 95 %", lambda cell: f"{cell.reaching_95}/{cell.success.n}"),
@@ -100,7 +100,7 @@ class Experiment:
 
     def rate(self, label: str, metric: str = "success") -> str:
         """Return the mean rate of a cell with its interval, e.g. `94.4 % [91.2, 97.1]`."""
-        return formats.rate_interval(self.cell(label).metric(metric))
+        return formats.rate_interval(self.cell(label).metrics[metric])
 
     def seeds(self, label: str, metric: str = "success") -> str:
         """Return the mean rate of a cell with its lowest and highest seed, e.g. `94.4 % (90.1 to
@@ -108,7 +108,7 @@ class Experiment:
         """
         cell = self.cell(label)
         low, high = _ends(cell, metric)
-        return f"{formats.rate_text(cell.metric(metric).value)} ({low} to {high} %)"
+        return f"{formats.rate_text(cell.metrics[metric].value)} ({low} to {high} %)"
 
     def cpu_s(self, label: str) -> str:
         """Return the mean CPU seconds of a cell's runs."""
@@ -379,12 +379,12 @@ def _filled(item: str) -> str:
 def _range(cell: CellSummary, metric: str) -> str:
     """Return a mean rate with its lowest and highest seed, for a table."""
     low, high = _ends(cell, metric)
-    return f"{formats.percent(cell.metric(metric).value)} ({low}, {high})"
+    return f"{formats.percent(cell.metrics[metric].value)} ({low}, {high})"
 
 
 def _ends(cell: CellSummary, metric: str) -> tuple[str, str]:
     """Return the rates of the lowest and the highest seed of a cell, in percent."""
-    rates = [seed.metric(metric) or 0.0 for seed in cell.seeds]
+    rates = [seed.metrics[metric] or 0.0 for seed in cell.seeds]
     return formats.percent(min(rates)), formats.percent(max(rates))
 
 

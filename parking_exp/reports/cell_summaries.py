@@ -10,7 +10,7 @@ import pandas as pd
 
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import CellSummary, Curve, RunSummary
-from parking_exp.reports.reported_metrics import FIELDS, REPORTED, is_rate
+from parking_exp.reports.reported_metrics import OF_EVERY_TASK, ReportedMetric, reported_metrics
 from parking_exp.results.frames import TEXT, Results
 from parking_exp.statistics import (
     Interval,
@@ -24,7 +24,7 @@ from parking_exp.statistics import (
     wilson_interval,
 )
 from parking_exp.tasks.metrics import EPISODE_SEED
-from parking_exp.tasks.registry import FAILURES, added_metrics, task_reports
+from parking_exp.tasks.registry import FAILURES, task_reports
 
 SUCCESS_THRESHOLD = 0.9
 RELIABLE = 0.95  # final success of a seed
@@ -71,16 +71,18 @@ def _group_by_run(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: bool) -> CellSummary:
     """Return a cell's numbers; with `unfinished`, its learning curve includes runs not done."""
-    seeds = [_summarise_run(run, evaluations) for run in cell.done.to_dict("records")]
+    reported = reported_metrics(cell.done.columns)
+    seeds = [_summarise_run(run, reported, evaluations) for run in cell.done.to_dict("records")]
     success = [seed.success for seed in seeds if seed.success is not None]
     n_episodes = min((seed.n_episodes or 0 for seed in seeds), default=0) or None
     total_timesteps = _to_int(cell.config.get("total_timesteps"))
     means = {}
-    for name in [*REPORTED, *added_metrics(cell.done.columns)]:
-        values = [seed.metric(name) for seed in seeds]
-        means[name] = _average(values, is_rate(name), n_episodes)
-        if total_timesteps == 0 and is_rate(name):
-            means[name] = _episode_interval(means[name], n_episodes)
+    for metric in reported:
+        values = [seed.metrics.get(metric.name) for seed in seeds]
+        mean = _average(values, metric.is_rate, n_episodes)
+        if total_timesteps == 0 and metric.is_rate:
+            mean = _episode_interval(mean, n_episodes)
+        means[metric.name] = mean
     curve_runs = cell.runs if unfinished else cell.done
     return CellSummary(
         id=cell.id,
@@ -90,6 +92,7 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
         settings=cell.settings,
         counts=_count_stages(cell.runs["status"]),
         total_timesteps=total_timesteps,
+        metrics=_without_other_tasks(means),
         cpu_s=_average([seed.cpu_s for seed in seeds]),
         area=_average([seed.area for seed in seeds], is_rate=True),
         seeds=seeds,
@@ -97,7 +100,6 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
         **_summarise_task(cell, seeds, evaluations),
         **_describe_success(success),
         **_measure_time_to_90(seeds),
-        **_metric_fields(means),
     )
 
 
@@ -113,10 +115,10 @@ def _describe_success(rates: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def _summarise_run(run: Mapping[Any, Any], evaluations: RunEvaluations) -> RunSummary:
-    columns = {name: metric.run_column for name, metric in REPORTED.items()}
-    columns |= {name: name for name in added_metrics(run)}
-    metrics = {name: finite_or_none(run[column]) for name, column in columns.items()}
+def _summarise_run(
+    run: Mapping[Any, Any], reported: Sequence[ReportedMetric], evaluations: RunEvaluations
+) -> RunSummary:
+    metrics = {metric.name: finite_or_none(run[metric.column]) for metric in reported}
     run_id = run["run_id"]
     run_dir = run["run_dir"] if isinstance(run["run_dir"], str) else None
     n_episodes = len(evaluations.final.get(run_id, ())) or _to_int(run["n_scenes"])
@@ -124,22 +126,21 @@ def _summarise_run(run: Mapping[Any, Any], evaluations: RunEvaluations) -> RunSu
         seed=int(run["seed"]),
         run_id=run_id,
         run_dir=run_dir,
+        metrics=_without_other_tasks(metrics),
         n_episodes=n_episodes,
         cpu_s=finite_or_none(run["cpu_s"]),
         **_measure_curve(evaluations.curves.get(run_id)),
-        **_metric_fields(metrics),
     )
 
 
-def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a seed or a cell that hold metrics, without those of other tasks."""
-    metric_fields: dict[str, Any] = {"further": {}}
-    for name, value in values.items():
-        if name in FIELDS:
-            metric_fields[name] = value
-        elif value not in (None, Interval(None)):
-            metric_fields["further"][name] = value
-    return metric_fields
+def _without_other_tasks(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return metrics of a seed or a cell without those that only other tasks have."""
+    unknown = (None, Interval(None))
+    return {
+        name: value
+        for name, value in metrics.items()
+        if name in OF_EVERY_TASK or value not in unknown
+    }
 
 
 def _measure_curve(curve: pd.DataFrame | None) -> dict[str, Any]:

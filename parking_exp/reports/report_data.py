@@ -27,21 +27,19 @@ class RunSummary:
     seed: int
     run_id: str
     run_dir: str | None
-    success: float | None
-    timeout: float | None
+    metrics: Mapping[str, float | None]  # by their names in reports
     n_episodes: int | None
-    episode_steps: float | None
     cpu_s: float | None
     # First env step from which 90 % were held, or the last from which they could have been.
     steps_to_90: float | None = None
     reached_90: bool = False
     cpu_s_to_90: float | None = None  # None where they were not held
     area: float | None = None  # under the learning curve
-    further: Mapping[str, float | None] = field(default_factory=dict)  # reports' other metrics
 
-    def metric(self, name: str) -> float | None:
-        """Return a metric by its name; None where the run has none."""
-        return getattr(self, name, self.further.get(name))
+    @property
+    def success(self) -> float | None:
+        """Rate of the episodes that succeeded."""
+        return self.metrics["success"]
 
 
 @dataclass(frozen=True)
@@ -68,9 +66,7 @@ class CellSummary:
     settings: Mapping[str, Setting]  # value of each factor
     counts: Mapping[str, int]  # number of runs done, running, failed and pending
     total_timesteps: int | None
-    success: Interval
-    timeout: Interval
-    episode_steps: Interval
+    metrics: Mapping[str, Interval]  # their means, by their names in reports
     cpu_s: Interval
     area: Interval
     lowest: float | None = None  # success of the worst seed
@@ -83,16 +79,16 @@ class CellSummary:
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
     drawn: Any = None  # what figures of its task show beside that; `report.json` lacks it
     note: str | None = None  # a sentence about an interval that is too narrow or missing
-    further: Mapping[str, Interval] = field(default_factory=dict)  # reports' other metrics
 
-    def metric(self, name: str) -> Interval:
-        """Return the mean of a metric by its name, `Interval(None)` where the cell has none."""
-        return getattr(self, name, self.further.get(name, Interval(None)))
+    @property
+    def success(self) -> Interval:
+        """Rate of the episodes that succeeded."""
+        return self.metrics["success"]
 
     @property
     def failure(self) -> Interval:
         """Rate of the episodes that ended badly, whatever its task calls them."""
-        rates = [self.further[name] for name in FAILURES if name in self.further]
+        rates = [self.metrics[name] for name in FAILURES if name in self.metrics]
         return rates[0] if rates else Interval(None)
 
 
@@ -210,13 +206,13 @@ class ReportData:
         return self.pairs if chosen or len(self.pairs) <= MAX_DRAWN_PAIRS else ()
 
     def plain(self) -> dict[str, Any]:
-        """Return everything as JSON can hold it, with further metrics beside the others."""
+        """Return everything as JSON can hold it, with metrics beside the other numbers."""
         plain = asdict(self)
         for cell in plain["cells"]:
             del cell["drawn"]
-            cell.update(cell.pop("further") | cell.pop("task_data"))
+            cell.update(cell.pop("metrics") | cell.pop("task_data"))
             for seed in cell["seeds"]:
-                seed.update(seed.pop("further"))
+                seed.update(seed.pop("metrics"))
         if self.tuning is not None:
             plain["tuning"]["settings"] = self.tuning.settings.model_dump(by_alias=True)
         return plain

@@ -1,33 +1,50 @@
-"""The metrics that reports show: their names, kinds and headings."""
+"""The metrics that reports show: this package's and those of users."""
 
-from dataclasses import fields
+from collections.abc import Iterable
+from typing import NamedTuple
 
-from parking_exp.reports.report_data import RunSummary
-from parking_exp.tasks.metrics import Metric
-from parking_exp.tasks.registry import METRICS
+from parking_exp.tasks.registry import METRICS, added_metrics
 
-REPORTED: dict[str, Metric] = {
-    metric.name if metric.is_rate else metric.run_column: metric
+
+class ReportedMetric(NamedTuple):
+    """A metric of reports.
+
+    Attributes:
+        name: of its mean over seeds, in `report.json` and in tables.
+        column: in `Results.runs`.
+        is_rate: whether it is a share of episodes.
+        heading: in tables, with its unit.
+    """
+
+    name: str
+    column: str
+    is_rate: bool
+    heading: str
+
+
+OF_EVERY_TASK = ("success", "timeout", "episode_steps")
+"""Names of metrics that a report has also where they are not known."""
+OWN = [
+    ReportedMetric(
+        name=metric.name if metric.is_rate else metric.run_column,
+        column=metric.run_column,
+        is_rate=metric.is_rate,
+        heading=metric.heading,
+    )
     for metric in METRICS
     if metric.in_reports
-}
-"""Metrics of reports by their names in `CellSummary` and `RunSummary`."""
-FIELDS = {field.name for field in fields(RunSummary)}
-FURTHER = [name for name in REPORTED if name not in FIELDS]
-"""Those without a field of their own, which only some tasks have."""
+]
 
 
-def is_rate(name: str) -> bool:
-    """Return whether a metric of reports is a rate; the name of a user's is its key."""
-    metric = REPORTED.get(name)
-    return name.endswith("_rate") if metric is None else metric.is_rate
+def reported_metrics(names: Iterable[str]) -> list[ReportedMetric]:
+    """Return the metrics of this package, then those of users among some columns or names.
 
-
-def heading(name: str) -> str:
-    """Return the heading of a metric of reports; of a user's, the store has the name alone."""
-    metric = REPORTED.get(name)
-    if metric is not None:
-        return metric.heading
-    if is_rate(name):
-        return f"{name.removesuffix('_rate')} (%)"
-    return name.removesuffix("_mean")
+    Of a user's metric, the store has the key alone, which is its name and its column.
+    """
+    metrics = [*OWN]
+    for key in added_metrics(names):
+        name, _, kind = key.rpartition("_")
+        is_rate = kind == "rate"
+        heading = f"{name} (%)" if is_rate else name
+        metrics.append(ReportedMetric(key, key, is_rate, heading))
+    return metrics

@@ -20,7 +20,9 @@ from parking_exp.reports.tables.table import cell_column, interval_column, sprea
 
 def timeouts(report):
     """Yield a table with a row for each cell."""
-    rows = [{**cell_record(cell), **spread("timeout", cell.timeout)} for cell in report.cells]
+    rows = [
+        {**cell_record(cell), **spread("timeout", cell.metrics["timeout"])} for cell in report.cells
+    ]
     columns = [cell_column(), interval_column("Timeout (%)", "timeout")]
     yield Table("timeouts", rows, columns, "Episodes that ran out of time.")
 
@@ -29,7 +31,7 @@ def timeout_bars(report):
     """Draw a bar for each cell."""
     figure = new_figure(1.5)
     figure.subplots().bar(
-        range(len(report.cells)), [100 * cell.timeout.value for cell in report.cells]
+        range(len(report.cells)), [100 * cell.metrics["timeout"].value for cell in report.cells]
     )
     yield figure, "Timeouts of each cell, in % of the episodes."
 

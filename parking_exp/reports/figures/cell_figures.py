@@ -97,7 +97,7 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     time_axis(success, "")
     time_axis(failure, "env steps")
     success.set(ylim=(-2, 103), ylabel="success (%)")
-    names = [name for name in FAILURES if any(name in cell.further for cell in cells)]
+    names = [name for name in FAILURES if any(name in cell.metrics for cell in cells)]
     failures = " or ".join(names or ["failure"])
     failure.set(ylim=(0, max(10, failure.get_ylim()[1])), ylabel=f"{failures} (%)")
     lines = "thin lines: seeds; " if with_seeds else ""

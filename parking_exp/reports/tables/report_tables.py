@@ -12,7 +12,7 @@ import pandas as pd
 from parking_exp.report_section import Column, Row, Table, cell_record
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import CellSummary, ReportData
-from parking_exp.reports.reported_metrics import FURTHER, heading, is_rate
+from parking_exp.reports.reported_metrics import ReportedMetric, reported_metrics
 from parking_exp.reports.tables.table import (
     PERCENT,
     cell_column,
@@ -20,7 +20,7 @@ from parking_exp.reports.tables.table import (
     record,
     text_column,
 )
-from parking_exp.tasks.registry import added_metrics
+from parking_exp.tasks.metrics import STEPS
 
 
 def headline(report: ReportData) -> Iterator[Table]:
@@ -30,8 +30,8 @@ def headline(report: ReportData) -> Iterator[Table]:
         Column("Seeds", "seeds", of_row=_count_finished, given=True),
         Column("Env steps", "total_timesteps", formats.number, given=True),
     ]
-    for name in _select_rates(report):
-        columns.append(interval_column(heading(name), name, paper=name != "timeout"))
+    for rate in _list_rates(report):
+        columns.append(interval_column(rate.heading, rate.name, paper=rate.name != "timeout"))
     columns += [
         Column(
             "IQM",
@@ -54,8 +54,8 @@ def headline(report: ReportData) -> Iterator[Table]:
             note="median of the env steps until 90 % were held for three evaluations",
         ),
         Column(
-            heading("episode_steps"),
-            "episode_steps",
+            STEPS.heading,
+            STEPS.run_column,
             partial(formats.number, digits=1),
             paper=False,
         ),
@@ -72,11 +72,13 @@ def headline(report: ReportData) -> Iterator[Table]:
 
 def means(report: ReportData) -> Iterator[Table]:
     """Yield the table of the further means of each cell, such as the length of the driven path."""
-    names = [name for name in _list_further(report) if not is_rate(name)]
-    if not names:
-        return
+    columns = [cell_column()]
     write = partial(formats.number, digits=2)
-    columns = [cell_column(), *(Column(heading(name), name, write) for name in names)]
+    for metric in _list_metrics(report):
+        if not metric.is_rate and metric.name != STEPS.run_column:
+            columns.append(Column(metric.heading, metric.name, write))
+    if len(columns) == 1:
+        return
     yield Table(
         "means", _list_cell_rows(report), columns, "Final evaluation: other means over seeds."
     )
@@ -107,8 +109,8 @@ def seeds(report: ReportData) -> Iterator[Table]:
         cell_column(),
         Column("Seed", "seed"),
     ]
-    for name in _select_rates(report):
-        columns.append(Column(heading(name), name, formats.percent))
+    for rate in _list_rates(report):
+        columns.append(Column(rate.heading, rate.name, formats.percent))
     columns += [
         Column("Episodes", "n_episodes", formats.number, given=True),
         Column("Steps to 90 %", "steps_to_90", of_row=_write_steps_to_90),
@@ -338,18 +340,18 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
     return rows
 
 
-def _select_rates(report: ReportData) -> list[str]:
-    """Return the names of the rates that some cell has."""
-    further = [name for name in _list_further(report) if is_rate(name)]
-    return ["success", *further, "timeout"]
-
-
-def _list_further(report: ReportData) -> list[str]:
-    """Return the names of the further metrics that some cell has, those of users last."""
-    known: set[str] = set()
+def _list_metrics(report: ReportData) -> list[ReportedMetric]:
+    """Return the metrics that some cell has, those of users last."""
+    names: set[str] = set()
     for cell in report.cells:
-        known.update(cell.further)
-    return [name for name in FURTHER if name in known] + added_metrics(known)
+        names.update(cell.metrics)
+    return [metric for metric in reported_metrics(names) if metric.name in names]
+
+
+def _list_rates(report: ReportData) -> list[ReportedMetric]:
+    """Return the rates that some cell has, that of timeouts last."""
+    rates = [metric for metric in _list_metrics(report) if metric.is_rate]
+    return sorted(rates, key=lambda rate: rate.name == "timeout")
 
 
 def _count_finished(row: Row) -> str:

@@ -1,6 +1,6 @@
 """Columns and rows of the tables of reports."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass, replace
 from typing import Any
 
@@ -35,17 +35,20 @@ def without_constants(table: Table) -> Table:
 
 
 def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
-    """Return the fields of a dataclass as columns of a row, lists left out.
+    """Return the fields of a dataclass, or entries of a mapping, as columns of a row.
 
     An interval becomes NAME, NAME_low and NAME_high; another dataclass one column for each field,
-    NAME_FIELD.
+    NAME_FIELD; metrics a column each. Lists and other mappings are left out.
     """
     row: dict[str, Any] = {}
-    for name, value in {**vars(item), **vars(item).get("further", {})}.items():
+    entries = item if isinstance(item, Mapping) else vars(item)
+    for name, value in entries.items():
         if isinstance(value, Interval):
             row |= spread(prefix + name, value)
         elif is_dataclass(value):
             row |= record(value, f"{prefix}{name}_")
+        elif name == "metrics":
+            row |= record(value)
         elif name not in without and isinstance(value, str | int | float | None):
             row[prefix + name] = value
     return row
