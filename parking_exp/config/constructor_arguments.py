@@ -40,10 +40,7 @@ DEFAULT_CLASSES = {
     "features_extractor": "stable_baselines3.common.torch_layers.CombinedExtractor",
 }
 POLICY = "MultiInputPolicy"
-MIRRORED_POLICIES = (
-    "stable_baselines3.sac.MultiInputPolicy",
-    "stable_baselines3.td3.MultiInputPolicy",
-)
+MIRRORED_POLICIES = "parking_exp.algorithms.mirrored_policies.MIRRORED"
 PLAIN_TYPES = (int, float, bool, str, NoneType)
 CHECKED_TYPES = (Literal, Annotated)  # of annotations that pydantic checks as they are
 SIMILAR = 0.8  # similarity from which on a name counts as misspelt
@@ -200,7 +197,7 @@ def _features_problem(algorithm: AlgorithmConfig, policy: type | None) -> str | 
     if policy is not None and not takes(policy, "features_extractor_class"):
         return f"{chosen} ignores it; use raw"
     is_mirrored = algorithm.features == "ego_mirrored"
-    if is_mirrored and policy not in map(import_object, MIRRORED_POLICIES):
+    if is_mirrored and policy not in import_object(MIRRORED_POLICIES):
         return f"{chosen} can't mirror its steering; use ego_fine"
     return None
 
