@@ -12,6 +12,7 @@ from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import CellSummary, Curve, RunSummary
 from parking_exp.reports.reported_metrics import OF_EVERY_TASK, ReportedMetric, reported_metrics
 from parking_exp.results.frames import TEXT, Results
+from parking_exp.runs.run_state import STAGES
 from parking_exp.statistics import (
     Interval,
     coverage_note,
@@ -29,13 +30,6 @@ from parking_exp.tasks.registry import FAILURES, task_reports
 SUCCESS_THRESHOLD = 0.9
 RELIABLE = 0.95  # final success of a seed
 HOLD = 3  # evaluations in a row
-STATUS_OF_STAGE = {
-    "done": "done",
-    "running": "running",
-    "failed": "failed",
-    "pending": "interrupted",
-}
-"""Stage of a run -> its status in the store."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +235,8 @@ def _episode_interval(mean: Interval, n_episodes: int | None) -> Interval:
 
 def _count_stages(status: pd.Series) -> dict[str, int]:
     runs = Counter(status)
-    return {stage: runs[name] for stage, name in STATUS_OF_STAGE.items()}
+    runs["pending"] = runs["interrupted"]  # as stores call it
+    return {stage: runs[stage] for stage in STAGES}
 
 
 def _to_int(value: Any) -> int | None:
