@@ -68,15 +68,7 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
     reported = reported_metrics(cell.done.columns)
     seeds = [_summarise_run(run, reported, evaluations) for run in cell.done.to_dict("records")]
     success = [seed.success for seed in seeds if seed.success is not None]
-    n_episodes = min((seed.n_episodes or 0 for seed in seeds), default=0) or None
     total_timesteps = _to_int(cell.config.get("total_timesteps"))
-    means = {}
-    for metric in reported:
-        values = [seed.metrics.get(metric.name) for seed in seeds]
-        mean = _average(values, metric.is_rate, n_episodes)
-        if total_timesteps == 0 and metric.is_rate:
-            mean = _episode_interval(mean, n_episodes)
-        means[metric.name] = mean
     curve_runs = cell.runs if unfinished else cell.done
     return CellSummary(
         id=cell.id,
@@ -86,7 +78,7 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
         settings=cell.settings,
         counts=_count_stages(cell.runs["status"]),
         total_timesteps=total_timesteps,
-        metrics=_without_other_tasks(means),
+        metrics=_average_metrics(seeds, reported, is_trained=total_timesteps != 0),
         cpu_s=_average([seed.cpu_s for seed in seeds]),
         area=_average([seed.area for seed in seeds], is_rate=True),
         seeds=seeds,
@@ -95,6 +87,21 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
         **_describe_success(success),
         **_measure_time_to_90(seeds),
     )
+
+
+def _average_metrics(
+    seeds: Sequence[RunSummary], reported: Sequence[ReportedMetric], *, is_trained: bool
+) -> dict[str, Interval]:
+    """Return the mean of each metric over seeds, by its name."""
+    n_episodes = min((seed.n_episodes or 0 for seed in seeds), default=0) or None
+    means = {}
+    for metric in reported:
+        values = [seed.metrics.get(metric.name) for seed in seeds]
+        mean = _average(values, metric.is_rate, n_episodes)
+        if metric.is_rate and not is_trained:
+            mean = _episode_interval(mean, n_episodes)
+        means[metric.name] = mean
+    return _without_other_tasks(means)
 
 
 def _describe_success(rates: Sequence[float]) -> dict[str, Any]:

@@ -129,10 +129,10 @@ def _select(
         warnings = []
 
     contrasts = []
-    finished = {cell.identity: cell for cell in labelled if len(cell.done)}
+    finished = {cell.identity: cell.id for cell in labelled if len(cell.done)}
     for first, second in pairs:
         if first.identity in finished and second.identity in finished:
-            contrasts.append((finished[first.identity].id, finished[second.identity].id))
+            contrasts.append((finished[first.identity], finished[second.identity]))
         else:
             untested.append(f"{first.label} minus {second.label}")
     if untested:

@@ -209,12 +209,12 @@ def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) ->
     infos = pd.DataFrame([dict(run.info) for run in stored])
     added = added_metrics(metrics.columns, "final/")
     final = FINAL | {f"final/{name}": name for name in added}
+    columns = COST | final
     types = RUN_TYPES | dict.fromkeys(added, "float64")
 
-    rates = metrics.reindex(columns=[*final]).rename(columns=final)
-    rates[tags["status"] != "done"] = np.nan
-    costs = metrics.reindex(columns=[*COST]).rename(columns=COST)
-    runs = pd.concat([tags.reindex(columns=[*TAG_COLUMNS]), rates, costs], axis=1)
+    numbers = metrics.reindex(columns=[*columns]).rename(columns=columns)
+    numbers.loc[tags["status"] != "done", [*final.values()]] = np.nan
+    runs = pd.concat([tags.reindex(columns=[*TAG_COLUMNS]), numbers], axis=1)
     runs[["run_id", "artifact_uri"]] = infos[["run_id", "artifact_uri"]]
     runs["experiment"] = infos["experiment_id"].map({value: name for name, value in ids.items()})
     runs["name"] = infos["run_name"].fillna("").str.replace(RATE, "", regex=True)
