@@ -336,7 +336,7 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
         row["seeds"] = cell.success.n
         for stage, n_runs in cell.counts.items():
             row[f"runs_{stage}"] = n_runs
-        rows.append(row | record(cell, without=("id", "label")))
+        rows.append(row | record(cell, without=("id", "label", "drawn")))
     return rows
 
 

@@ -43,13 +43,15 @@ def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dic
     row: dict[str, Any] = {}
     entries = item if isinstance(item, Mapping) else vars(item)
     for name, value in entries.items():
+        if name in without:
+            continue
         if isinstance(value, Interval):
             row |= spread(prefix + name, value)
         elif is_dataclass(value):
             row |= record(value, f"{prefix}{name}_")
         elif name == "metrics":
             row |= record(value)
-        elif name not in without and isinstance(value, str | int | float | None):
+        elif isinstance(value, str | int | float | None):
             row[prefix + name] = value
     return row
 
