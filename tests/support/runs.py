@@ -18,6 +18,7 @@ from parking_exp.cli.evaluate import evaluate
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
+from parking_exp.errors import ConfigError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 
@@ -90,6 +91,23 @@ def call_script(name, *arguments, cwd=None, code=None):
     )
     assert code in (None, done.returncode), done
     return done
+
+
+def refusal(name, *arguments, cwd=None):
+    """The sentence with which a script refuses what was typed, without "error: "."""
+    done = call_script(name, *arguments, cwd=cwd, code=2)
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: ")
+    return line.removeprefix("error: ")
+
+
+def config_refusal(*overrides):
+    """The sentence with which the config of a run is refused."""
+    with pytest.raises(ConfigError) as refused:
+        make_config(*overrides)
+    sentence = str(refused.value)
+    assert "\n" not in sentence
+    return sentence
 
 
 def evaluate_stored(path, *arguments):

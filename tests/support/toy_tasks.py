@@ -1,14 +1,16 @@
-"""Toy goal environments as a user's own package: `toy_tasks:BitFlip-v0` and some that are
-refused.
+"""Toy goal environments as a user's own package: `toy_tasks:BitFlip-v0`, a point in the plane, and
+their quirks, some of which are refused.
 """
 
 import multiprocessing
 import os
+import sys
 
 import gymnasium as gym
 import numpy as np
 
 BITS = 8
+PLANE_STEPS = 20
 
 
 class BitFlip(gym.Env):
@@ -35,14 +37,13 @@ class BitFlip(gym.Env):
     def step(self, action):
         flipped = int(np.argmax(action))
         self.bits[flipped] = 1 - self.bits[flipped]
-        reward = float(self.compute_reward(self.bits, self.goal, {}))
-        return (
-            self._observe(),
-            reward,
-            reward == 0,
-            False,
-            {"is_success": reward == 0, "lost": False},
-        )
+        is_success = self.compute_terminated(self.bits, self.goal, {})
+        info = {"is_success": is_success, "lost": False, **self.own_info()}
+        reward = float(self.compute_reward(self.bits, self.goal, info))
+        return self._observe(), reward, is_success, False, info
+
+    def own_info(self):
+        return {}
 
     def compute_reward(self, achieved_goal, desired_goal, info):
         return np.where((achieved_goal == desired_goal).all(axis=-1), 0.0, -1.0)
@@ -65,6 +66,14 @@ class OneByOne(BitFlip):
         return 0.0 if np.array_equal(achieved_goal, desired_goal) else -1.0
 
 
+class ColumnReward(BitFlip):
+    """For many goals `compute_reward` returns a column."""
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        reward = super().compute_reward(achieved_goal, desired_goal, info)
+        return reward[:, np.newaxis] if reward.ndim else reward
+
+
 class OtherReward(BitFlip):
     """`compute_reward` does not know what a step costs."""
 
@@ -76,51 +85,49 @@ class OtherReward(BitFlip):
 class Priced(BitFlip):
     """Each step has a price of its own, which only `info` has."""
 
-    def step(self, action):
-        observation, _, terminated, truncated, info = super().step(action)
-        info["price"] = float(self.np_random.uniform())
-        reward = self.compute_reward(
-            observation["achieved_goal"], observation["desired_goal"], info
-        )
-        return observation, float(reward), terminated, truncated, info
+    def own_info(self):
+        return {"price": float(self.np_random.uniform())}
+
+    def price(self, info):
+        return info.get("price", 0.0)
 
     def compute_reward(self, achieved_goal, desired_goal, info):
         infos = [info] if isinstance(info, dict) else info
-        price = np.array([entry.get("price", 0.0) for entry in infos])
-        return np.squeeze(super().compute_reward(achieved_goal, desired_goal, info) - price)
+        prices = np.array([self.price(entry) for entry in infos])
+        return np.squeeze(super().compute_reward(achieved_goal, desired_goal, info) - prices)
 
 
 class Worded(Priced):
     """`compute_reward` needs an entry of `info` that is no number."""
 
+    def own_info(self):
+        return {"word": "wrong"}
+
+    def price(self, info):
+        return 2.0 * (info.get("word") == "wrong")
+
+
+class InfoArray(Priced):
+    """`compute_reward` takes one info or an array of them, no list."""
+
     def compute_reward(self, achieved_goal, desired_goal, info):
-        infos = [info] if isinstance(info, dict) else info
-        malus = np.array([2.0 * (entry.get("word") == "wrong") for entry in infos])
-        return np.squeeze(BitFlip.compute_reward(self, achieved_goal, desired_goal, info) - malus)
-
-    def step(self, action):
-        observation, _, terminated, truncated, info = BitFlip.step(self, action)
-        info["word"] = "wrong"
-        reward = self.compute_reward(
-            observation["achieved_goal"], observation["desired_goal"], info
-        )
-        return observation, float(reward), terminated, truncated, info
+        if isinstance(info, list):
+            raise TypeError("infos are an array")
+        return super().compute_reward(achieved_goal, desired_goal, info)
 
 
-class Drawn(BitFlip):
-    """It renders: a column of 10 pixels for each bit."""
+class OwnGoal(BitFlip):
+    """`compute_reward` looks at the goal that the environment keeps."""
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        return super().compute_reward(achieved_goal, self.goal, info)
 
-    def __init__(self, render_mode=None):
-        self.render_mode = render_mode
 
-    def render(self):
-        return np.repeat(
-            np.broadcast_to((255 * self.bits).astype(np.uint8)[None, :, None], (40, BITS, 3)),
-            10,
-            axis=1,
-        )
+class AnyBits(BitFlip):
+    """`compute_reward` ignores the achieved goal that it is given."""
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        return super().compute_reward(np.clip(desired_goal, 0, 1), desired_goal, info)
 
 
 class Unseeded(BitFlip):
@@ -150,37 +157,10 @@ class Discrete(BitFlip):
     action_space = gym.spaces.Discrete(BITS)
 
 
-class Blank(Drawn):
-    """It renders nothing, such as EGL without a display."""
+class IntegerActions(BitFlip):
+    """Its actions are integers."""
 
-    def render(self):
-        return None
-
-
-class LosesContext(Drawn):
-    """Rendering fails after three frames."""
-
-    n_frames = 0
-
-    def render(self):
-        self.n_frames += 1
-        if self.n_frames > 3:
-            raise RuntimeError("GL context lost")
-        return super().render()
-
-
-class CloseFails(BitFlip):
-    """Its server is gone when it is closed."""
-
-    def close(self):
-        raise RuntimeError("Not connected to physics server.")
-
-
-class OwnGoal(BitFlip):
-    """`compute_reward` looks at the goal that the environment keeps."""
-
-    def compute_reward(self, achieved_goal, desired_goal, info):
-        return super().compute_reward(achieved_goal, self.goal, info)
+    action_space = gym.spaces.Box(-5, 5, (BITS,), np.int64)
 
 
 class NoReward(gym.Env):
@@ -204,6 +184,10 @@ class RewardWrapper(gym.Wrapper):
     compute_reward, compute_terminated = BitFlip.compute_reward, BitFlip.compute_terminated
 
 
+def wrapped_bit_flip():
+    return RewardWrapper(NoReward())
+
+
 class SmallSeeds(BitFlip):
     """Its seeds have 31 bits."""
 
@@ -213,10 +197,11 @@ class SmallSeeds(BitFlip):
         return super().reset(seed=seed)
 
 
-class IntegerActions(BitFlip):
-    """Its actions are integers."""
+class CloseFails(BitFlip):
+    """Its server is gone when it is closed."""
 
-    action_space = gym.spaces.Box(-5, 5, (BITS,), np.int64)
+    def close(self):
+        raise RuntimeError("Not connected to physics server.")
 
 
 class Counted(BitFlip):
@@ -241,13 +226,162 @@ class Exits(BitFlip):
         return super().step(action)
 
 
-def wrapped_bit_flip():
-    return RewardWrapper(NoReward())
+class Drawn(BitFlip):
+    """It renders: a column of 10 pixels for each bit."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012
+    n_frames = 0
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+    def render(self):
+        self.n_frames += 1
+        return np.repeat(
+            np.broadcast_to((255 * self.bits).astype(np.uint8)[None, :, None], (40, BITS, 3)),
+            10,
+            axis=1,
+        )
 
 
-REFUSED = (OneByOne, OtherReward, Silent, Broken, Discrete, Worded, OwnGoal, IntegerActions)
-QUIRKY = (Blank, LosesContext, CloseFails, SmallSeeds, Counted, Exits)
-for cls in (BitFlip, Priced, Unseeded, Drawn, *REFUSED, *QUIRKY):
+class Blank(Drawn):
+    """It renders nothing, such as EGL without a display."""
+
+    def render(self):
+        return None
+
+
+class LosesContext(Drawn):
+    """Rendering fails after three frames."""
+
+    def render(self):
+        if self.n_frames == 3:
+            raise RuntimeError("GL context lost")
+        return super().render()
+
+
+class ChangingFrames(Drawn):
+    """Each frame is wider than the one before."""
+
+    def render(self):
+        return np.repeat(super().render(), self.n_frames, axis=1)
+
+
+class RenderExit(Drawn):
+    """Rendering ends the process."""
+
+    def render(self):
+        sys.exit(3)
+
+
+class Plane(gym.Env):
+    """A point that moves in the plane to its goal: the reward is 0 near it and -1 elsewhere."""
+
+    tolerance = 0.3
+    steps = 0  # in the life of this instance
+
+    def __init__(self):
+        box = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
+        self.observation_space = gym.spaces.Dict(
+            observation=box, achieved_goal=box, desired_goal=box
+        )
+        self.action_space = gym.spaces.Box(-1, 1, (2,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.position = np.zeros(2, np.float32)
+        self.goal = self.np_random.uniform(-1, 1, 2).astype(np.float32)
+        return self.observe(), {}
+
+    def observe(self):
+        return {
+            "observation": self.position,
+            "achieved_goal": self.position,
+            "desired_goal": self.goal,
+        }
+
+    def step(self, action):
+        self.steps += 1
+        moved = self.position + 0.2 * np.asarray(action)
+        self.position = moved.clip(-1.5, 1.5).astype(np.float32)
+        reward = float(self.compute_reward(self.position, self.goal, {}))
+        return self.observe(), reward, False, False, {"is_success": reward == 0}
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        distance = np.linalg.norm(achieved_goal - desired_goal, axis=-1)
+        return -(distance > self.tolerance).astype(float)
+
+
+class AlwaysThere(Plane):
+    """Random steps never leave the goal, which is large."""
+
+    tolerance = 10
+
+
+class NeverThere(Plane):
+    """Random steps never reach the goal, which is small."""
+
+    tolerance = 1e-5
+
+
+class NotFinite(Plane):
+    """A part of its steps is not finite from step 150 of an instance on."""
+
+    def __init__(self, part="observation"):
+        super().__init__()
+        self.part = part
+
+    def step(self, action):
+        observation, reward, *rest = super().step(action)
+        if self.steps >= 150 and self.part == "reward":
+            reward = np.inf
+        elif self.steps >= 150:
+            observation = {**observation, self.part: np.full(2, np.nan, np.float32)}
+        return observation, reward, *rest
+
+
+class LastNotFinite(NotFinite):
+    """Only the last observation of an episode is not finite."""
+
+    def step(self, action):
+        is_last = (self.steps + 1) % PLANE_STEPS == 0
+        if is_last:
+            return super().step(action)
+        return Plane.step(self, action)
+
+
+class Signed(Plane):
+    """Its observation has a further entry called `goal`: the sign of its actions."""
+
+    def __init__(self):
+        super().__init__()
+        sign = gym.spaces.Box(-1, 1, (1,), np.float32)
+        self.observation_space = gym.spaces.Dict({**self.observation_space, "goal": sign})
+
+    def reset(self, *, seed=None, options=None):
+        self.sign = 1.0
+        super().reset(seed=seed)
+        self.sign = float(self.np_random.choice([-1.0, 1.0]))
+        return self.observe(), {}
+
+    def observe(self):
+        return {**super().observe(), "goal": np.array([self.sign], np.float32)}
+
+    def step(self, action):
+        return super().step(np.asarray(action) * self.sign)
+
+
+def classes_from(cls):
+    """A class and all that derive from it."""
+    classes = [cls]
+    for derived in cls.__subclasses__():
+        classes += classes_from(derived)
+    return classes
+
+
+for cls in classes_from(BitFlip):
     gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
+for cls in classes_from(Plane):
+    gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=PLANE_STEPS)
 gym.register("Endless-v0", BitFlip)
 gym.register("Wrapped-v0", wrapped_bit_flip, max_episode_steps=BITS)

@@ -1,26 +1,30 @@
-"""Goal environments as people write them, to the exact step and number; `test_quirky_environments`
-has the commands.
+"""Goal environments as people write them, with quirks that were reported to public projects: they
+train, or the run says why not.
 """
 
-from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import torch
-from support.runs import ROOT, in_memory, make_config, only_run, run_script
-from support.user_policies import FunctionPolicy
+from support import toy_tasks
+from support.models import model_of
+from support.runs import (
+    ROOT,
+    call_script,
+    config_refusal,
+    make_config,
+    only_run,
+    refusal,
+)
 
-from parking_exp.algorithms.build_model import build_model
-from parking_exp.errors import ConfigError, FailedRunError
-from parking_exp.evaluation.video import record_video
-from parking_exp.runs.directory import RunDirectory
-from parking_exp.sweeps.single_run import train
+from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
 from parking_exp.tasks.registry import make_task
-from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training.seeds import derive_seeds
 
-PLANE = "support.plane_tasks:"
+TOY = "support.toy_tasks:"
 SHORT = (
     "env=gymnasium",
     "total_timesteps=300",
@@ -28,55 +32,53 @@ SHORT = (
     "algorithm.learning_starts=100",
     "algorithm.net_arch=[8]",
     "algorithm.batch_size=16",
-    "evaluation.n_scenes=5",
-    "evaluation.final_n_scenes=5",
+    "evaluation.every_n_steps=null",
+    "evaluation.n_scenes=2",
+    "evaluation.final_n_scenes=3",
+    "evaluation.video_episodes=0",
+    "checkpoint.every_n_steps=null",
     "tracking.mlflow=false",
+    "tracking.tensorboard=false",
 )
 
 
 def config(name, *overrides):
-    return make_config(*SHORT, f"env.id={PLANE}{name}-v0", *overrides)
+    return make_config(*SHORT, f"env.id={TOY}{name}-v0", *overrides)
 
 
-def trained(name, folder, *overrides):
-    """The run directory of a training."""
-    run = config(name, f"output_dir={folder}", *overrides)
-    train(run)
-    return RunDirectory(run.run_dir)
+def train(output_dir, name, *overrides, code=0):
+    arguments = [*SHORT, f"env.id={TOY}{name}-v0", f"output_dir={output_dir}", *overrides]
+    return call_script("train", *arguments, code=code)
 
 
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("ChangingFrames", "no video of support.plane_tasks:ChangingFrames-v0: ValueError: "),
-        ("RenderExit", "no video of support.plane_tasks:RenderExit-v0: SystemExit: 3"),
+        ("Blank", "no video: the environment renders NoneType instead of an array"),
+        ("LosesContext", f"no video of {TOY}LosesContext-v0: RuntimeError: GL context lost"),
+        ("ChangingFrames", f"no video of {TOY}ChangingFrames-v0: ValueError: "),
+        ("RenderExit", f"no video of {TOY}RenderExit-v0: SystemExit: 3"),
     ],
 )
-def test_a_run_whose_environment_cannot_be_rendered_is_done_and_says_why_there_is_no_video(
-    name, reason, capsys
-):
-    with in_memory() as folder:
-        directory = trained(name, folder)
-        assert directory.status == "done"
-        (line,) = [line for line in capsys.readouterr().err.splitlines() if "video" in line]
-        assert line.startswith(reason)
-        assert not list(directory.path.glob("*video*"))
-        assert not list(directory.path.glob(".tmp-*"))
+def test_a_run_whose_env_cannot_be_rendered_is_done_without_a_video(tmp_path, name, reason):
+    done = train(tmp_path, name, "evaluation.video_episodes=1")
+    (line,) = [line for line in done.stderr.splitlines() if "video" in line]
+    assert line.startswith(reason)
+    directory = only_run(tmp_path)
+    assert directory.status == "done"
+    arguments = (f"run={directory.path}", f"output_dir={tmp_path}", "episodes=1", "trust=true")
+    evaluated = call_script("evaluate", *arguments, "video=1", "gif=true", code=0)
+    assert reason in evaluated.stdout
+    assert list(tmp_path.rglob("*video*")) == []
+    assert list(tmp_path.rglob(".tmp-*")) == []
 
 
-def test_a_video_of_an_evaluation_that_cannot_be_made_is_one_sentence(tmp_path):
-    task = make_task(config("LateRenderError").env)
-    path = tmp_path / "video.mp4"
-    wait = FunctionPolicy(lambda observation: np.zeros((1, 2)))
-    reason = record_video(wait, task, [0], path, gif=True)
-    assert reason == f"no video of {task.env_id}: RuntimeError: GL context lost"
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("name", ["InfoArray", "ColumnReward"])
-def test_rewards_of_any_shape_that_stable_baselines3_takes_train(name):
-    with in_memory() as folder:
-        assert trained(name, folder).result().steps == 300
+@pytest.mark.parametrize(
+    "name", ["CloseFails", "Wrapped", "SmallSeeds", "InfoArray", "ColumnReward"]
+)
+def test_what_stable_baselines3_trains_is_trained(tmp_path, name):
+    train(tmp_path, name)
+    assert only_run(tmp_path).result().steps == 300
 
 
 @pytest.mark.parametrize(
@@ -86,45 +88,53 @@ def test_rewards_of_any_shape_that_stable_baselines3_takes_train(name):
         ("NotFinite", ["+env.kwargs.part=achieved_goal"], 150, "achieved_goal"),
         ("NotFinite", ["+env.kwargs.part=reward"], 150, "reward"),
         ("LastNotFinite", [], 160, "observation"),
-        ("ReachPlane", ["algorithm.learning_rate=1e25"], 104, "train/critic_loss"),
+        ("Plane", ["algorithm.learning_rate=1e25"], 104, "train/critic_loss"),
     ],
 )
-def test_what_is_not_finite_fails_the_run_and_the_step_is_named(name, overrides, step, what):
-    with in_memory() as folder:
-        with pytest.raises(FailedRunError, match=f"{what} is not finite at step {step};"):
-            trained(name, folder, *overrides)
-        assert only_run(Path(folder)).status == "failed"
+def test_what_is_not_finite_fails_the_run_and_the_step_is_named(
+    tmp_path, name, overrides, step, what
+):
+    failed = train(tmp_path, name, *overrides, code=2)
+    assert f"{what} is not finite at step {step};" in failed.stderr
+    assert only_run(tmp_path).status == "failed"
 
 
-def test_an_evaluation_that_is_not_finite_fails_the_run_at_its_step():
+def test_an_evaluation_that_is_not_finite_fails_the_run_at_its_step(tmp_path):
     """After 60 steps of the check and 102 of training, an instance reaches its 150th step in the
     evaluation only.
     """
-    run = ["total_timesteps=102", "evaluation.final_n_scenes=40"]
-    with (
-        in_memory() as folder,
-        pytest.raises(FailedRunError, match="evaluation at step 102: observation is not finite"),
-    ):
-        trained("NotFinite", folder, *run)
-
-
-def test_a_reward_that_ignores_what_was_achieved_is_refused():
-    with pytest.raises(ConfigError, match="compute_reward ignores its achieved_goal"):
-        config("OwnPosition")
+    options = ("total_timesteps=102", "evaluation.final_n_scenes=40")
+    failed = train(tmp_path, "NotFinite", *options, code=2)
+    assert "evaluation at step 102: observation is not finite" in failed.stderr
 
 
 @pytest.mark.parametrize("name", ["AlwaysThere", "NeverThere"])
 def test_rewards_that_happen_to_be_equal_along_random_steps_are_accepted(name):
-    assert config(name).env.id == f"{PLANE}{name}-v0"
+    assert config(name).env.id == f"{TOY}{name}-v0"
 
 
-def test_infos_are_an_array_only_where_compute_reward_takes_no_list():
-    goals = np.zeros((2, 2), np.float32)
+def test_infos_are_an_array_where_compute_reward_takes_no_list():
+    goals = np.zeros((2, toy_tasks.BITS))
     reward = GymnasiumReward(config("InfoArray").env)
-    at_wall = [[name == "at_wall" and value for name in reward.info_keys] for value in (0.0, 1.0)]
-    assert reward(goals, goals, np.array(at_wall))[0].tolist() == [0.0, -5.0]
-    away = np.array([[0.0, 0.0], [1.0, 0.0]])
-    assert GymnasiumReward(config("ReachPlane").env)(goals, away)[0].tolist() == [0.0, -1.0]
+    infos = np.zeros((2, len(reward.info_keys)))
+    infos[:, reward.info_keys.index("price")] = [0.25, 0.5]
+    assert reward(goals, goals, infos)[0].tolist() == [-0.25, -0.5]
+
+
+def test_seeds_of_training_fit_31_bits_and_are_no_seeds_of_evaluations(tmp_path):
+    training = config("SmallSeeds").env.training_seeds
+    assert (training.start, training.stop) == (2**30, 2**31 - 100_000)
+    assert derive_seeds(0, training).training_envs in training
+    overlap = config_refusal(
+        *SHORT, f"env.id={TOY}SmallSeeds-v0", f"evaluation.first_scene={2**30 - 2}"
+    )
+    assert overlap.startswith("evaluation.first_scene=1073741822 overlaps the training seeds")
+
+    train(tmp_path, "SmallSeeds")
+    arguments = (f"run={only_run(tmp_path).path}", f"output_dir={tmp_path}", "trust=true")
+    overlap = refusal("evaluate", *arguments, "episodes=2", "first_scene=1073741823")
+    sentence = "first_scene=1073741823 overlaps the training seeds; it can be at most 1073741822"
+    assert overlap.startswith(sentence)
 
 
 def test_seeds_of_parking_stay_what_they_were_since_published_policies_depend_on_them():
@@ -134,44 +144,86 @@ def test_seeds_of_parking_stay_what_they_were_since_published_policies_depend_on
 
 def test_further_entries_of_an_observation_are_normalised_and_used():
     """The entry is called `goal`, like the statistics of goals."""
-    run = config("Signed")
-    task = make_task(run.env)
-    model = build_model(run, task, make_training_envs(task, 1), seed=0)
-    extractor = model.actor.features_extractor
-    normalizer = extractor.normalizer
+    extractor = model_of(config("Signed")).actor.features_extractor
     sizes = {"observation": 2, "achieved_goal": 2, "desired_goal": 2, "goal": 1}
     zeros = {key: np.zeros((2, size), np.float32) for key, size in sizes.items()}
-    normalizer.update({**zeros, "goal": np.array([[3.0], [5.0]])})
-    features = extractor(
-        {
-            key: torch.as_tensor(value)
-            for key, value in {**zeros, "goal": np.full((2, 1), 5.5)}.items()
-        }
-    )
-    assert features.tolist() == [[0.0] * 6 + [1.5]] * 2
+    extractor.normalizer.update({**zeros, "goal": np.array([[3.0], [5.0]])})
+    observation = {key: torch.as_tensor(value) for key, value in zeros.items()}
+    observation["goal"] = torch.full((2, 1), 5.5)
+    assert extractor(observation).tolist() == [[0.0] * 6 + [1.5]] * 2
 
 
 @pytest.mark.slow
-def test_a_policy_that_needs_a_further_entry_is_learned():
-    with in_memory() as folder:
-        overrides = [
-            "total_timesteps=3000",
-            "n_envs=2",
-            "algorithm.learning_starts=200",
-            "algorithm.net_arch=[32,32]",
-        ]
-        directory = trained(
-            "Signed", folder, *overrides, "algorithm.batch_size=256", "evaluation.final_n_scenes=20"
-        )
-        assert directory.result().metrics["final/success_rate"] >= 0.9
-
-
-def test_evaluate_refuses_seeds_of_training_of_the_task(tmp_path):
-    directory = trained("ReachPlane", tmp_path, "evaluation.video_episodes=0")
-    arguments = [f"run={directory.path}", f"output_dir={tmp_path}", "trust=true", "episodes=2"]
-    environment = {"PYTHONPATH": str(ROOT / "tests")}
-    done = run_script("evaluate", *arguments, "first_scene=1073741823", env=environment)
-    assert (
-        "first_scene=1073741823 overlaps the training seeds; it can be at most 1073741822"
-        in done.stderr
+def test_a_policy_that_needs_a_further_entry_is_learned(tmp_path):
+    train(
+        tmp_path,
+        "Signed",
+        "total_timesteps=3000",
+        "n_envs=2",
+        "algorithm.learning_starts=200",
+        "algorithm.net_arch=[32,32]",
+        "algorithm.batch_size=256",
+        "evaluation.final_n_scenes=20",
     )
+    assert only_run(tmp_path).result().metrics["final/success_rate"] >= 0.9
+
+
+def test_a_run_of_one_env_makes_few_instances_and_closes_them(tmp_path):
+    toy_tasks.Counted.n_open = toy_tasks.Counted.n_most = 0
+    train(tmp_path, "Counted", "evaluation.final_n_scenes=20")
+    assert toy_tasks.Counted.n_most <= 8
+    assert toy_tasks.Counted.n_open == 0
+
+
+def test_an_env_of_a_notebook_trains_in_processes_of_its_own(tmp_path):
+    own = ("env.id=Mine-v0", "env.vectorization=async", f"output_dir={tmp_path}")
+    overrides = [*SHORT, *own]
+    program = (
+        "import gymnasium as gym\n"
+        "from support.toy_tasks import BitFlip\n"
+        "class Mine(BitFlip):\n"
+        "    pass\n"
+        "gym.register('Mine-v0', Mine, max_episode_steps=8)\n"
+        "from parking_exp import compose, train\n"
+        f"train(compose(*{overrides!r}))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=ROOT / "tests",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert only_run(tmp_path).status == "done"
+
+
+def test_a_process_of_an_env_that_ends_is_reported_in_a_sentence(tmp_path):
+    done = train(tmp_path, "Exits", "env.vectorization=async", code=2)
+    assert "EnvProcessError: the process of an env has ended" in done.stderr
+    assert "env.vectorization=sync needs no processes" in done.stderr
+
+
+def test_without_a_cross_check_there_are_no_certified_metrics(tmp_path):
+    call_script(
+        "train",
+        "experiment=smoke",
+        "evaluation.n_certified_scenes=0",
+        "evaluation.video_episodes=0",
+        "tracking.mlflow=false",
+        f"output_dir={tmp_path}",
+        code=0,
+    )
+    names = set()
+    for record in read_metrics(only_run(tmp_path).path / METRICS_FILE):
+        names.update(record["metrics"])
+    assert "final/success_rate" in names
+    assert not any(name.startswith("certified/") for name in names)
+
+
+def test_a_task_has_the_metrics_of_its_own(tmp_path):
+    train(tmp_path, "BitFlip")
+    metrics = only_run(tmp_path).result().metrics
+    rates = {name for name in metrics if name.startswith("final/") and name.endswith("_rate")}
+    assert rates == {"final/success_rate", "final/failure_rate", "final/timeout_rate"}
+    assert make_task(config("BitFlip").env).failure == "failure"
