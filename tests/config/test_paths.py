@@ -1,7 +1,7 @@
 """URIs of stores: those that may contain a secret are refused, whatever its form."""
 
 import pytest
-from support.runs import call_script
+from support.runs import call_script, refusal
 
 from parking_exp.config.paths import refuse_password
 from parking_exp.errors import ConfigError
@@ -38,12 +38,10 @@ def test_a_uri_that_may_contain_a_secret_is_refused_without_showing_it(uri):
 
 def test_a_command_with_a_secret_in_its_uri_is_refused_before_anything_is_written(tmp_path):
     uri = "postgresql://me:s3cret@host/db"
-    done = call_script(
-        "train", "experiment=smoke", f"tracking.uri='{uri}'", f"output_dir={tmp_path / 'outputs'}"
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: tracking.uri: the URI contains ")
-    assert "s3cret" not in done.stderr
+    options = (f"tracking.uri='{uri}'", f"output_dir={tmp_path / 'outputs'}")
+    sentence = refusal("train", "experiment=smoke", *options)
+    assert sentence.startswith("tracking.uri: the URI contains ")
+    assert "s3cret" not in sentence
     assert list(tmp_path.iterdir()) == []
 
 
@@ -70,10 +68,6 @@ def test_a_uri_without_a_secret_is_accepted(uri):
 def test_a_path_with_a_question_mark_is_refused_before_anything_is_written(tmp_path, argument):
     folder = tmp_path / "que?ue"
     folder.mkdir()
-    done = call_script("train", "experiment=smoke", argument, cwd=folder)
-    assert done.returncode == 2
-    assert (
-        "has a question mark, at which the URI of a sqlite store ends; choose another path"
-        in done.stderr
-    )
+    reason = "has a question mark, at which the URI of a sqlite store ends; choose another path"
+    assert reason in call_script("train", "experiment=smoke", argument, cwd=folder, code=2).stderr
     assert [path.name for path in tmp_path.rglob("*")] == ["que?ue"]

@@ -13,7 +13,7 @@ import torch
 from safetensors.numpy import load
 from support.marks import slow_but
 from support.models import make_model
-from support.runs import ROOT, call_script, run_script
+from support.runs import ROOT, call_script, refusal, run_script
 
 from parking_exp.algorithms import policy_export
 from parking_exp.algorithms.policy_export import export_onnx
@@ -136,11 +136,8 @@ def test_the_command_writes_into_the_run_directory_or_to_a_path(file_format, run
 )
 def test_a_mistake_is_one_sentence_that_names_the_key(arguments, named, run, tmp_path):
     (tmp_path / "file").touch()
-    done = call_script(
-        "export", *(argument.format(run=run) for argument in arguments), cwd=tmp_path
-    )
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert done.stderr.startswith(f"error: {named.format(here=tmp_path)}")
+    words = [argument.format(run=run) for argument in arguments]
+    assert refusal("export", *words, cwd=tmp_path).startswith(named.format(here=tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -160,22 +157,17 @@ def test_two_policies_for_one_file_are_refused_before_anything_is_written(
     link.symlink_to(run)
     names = {"run": run, "link": link}
     before = sorted(run.rglob("*"))
-    done = call_script(
-        "export", *(argument.format(**names) for argument in arguments), cwd=tmp_path
-    )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.endswith(": 2 policies would be written to this file\n")
-    assert f"/{file.format(**names).lstrip('/')}: " in done.stderr
+    words = [argument.format(**names) for argument in arguments]
+    path = tmp_path / file.format(**names)
+    sentence = f"{path}: 2 policies would be written to this file"
+    assert refusal("export", *words, cwd=tmp_path).endswith(sentence)
     assert [entry.name for entry in tmp_path.iterdir()] == ["link"]
     assert sorted(run.rglob("*")) == before
 
 
 def test_several_agents_are_exported_to_their_own_files(tmp_path):
-    done = call_script(
-        "export", "run=pretrained,pretrained/parked", "format=safetensors", cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
+    both = "run=pretrained,pretrained/parked"
+    call_script("export", both, "format=safetensors", cwd=tmp_path, code=0)
     files = sorted(tmp_path.rglob("*.safetensors"))
     for file, name in zip(files, ("default", "parked"), strict=True):
         assert file.read_bytes() == (PRETRAINED_DIR / name / "policy.safetensors").read_bytes()
@@ -188,8 +180,8 @@ def test_an_export_starts_no_telemetry_of_onnxruntime(tmp_path):
     home = tmp_path / "home"
     home.mkdir()
     environment = {"HOME": str(home), "XDG_CACHE_HOME": "", "ORT_DISABLE_TELEMETRY": ""}
-    done = run_script("export", "run=pretrained", "path=x.onnx", cwd=tmp_path, env=environment)
-    assert done.returncode == 0, done.stderr
+    arguments = ("run=pretrained", "path=x.onnx")
+    run_script("export", *arguments, cwd=tmp_path, env=environment, code=0)
     written = {file.parent.name for file in home.rglob("*") if file.is_file()}
     assert written <= {"matplotlib"}
 
@@ -198,13 +190,12 @@ def test_without_the_extra_onnx_is_refused(run, monkeypatch):
     monkeypatch.setattr(
         export_run, "find_spec", lambda name: None if name == "onnxruntime" else object()
     )
-    done = call_script("export", f"run={run}")
-    assert done.stderr.startswith("error: format=onnx: onnxruntime ")
+    assert refusal("export", f"run={run}").startswith("format=onnx: onnxruntime ")
 
 
 def drive(example, run, folder):
     """Export an agent, run an example of the docs beside it, and return what that prints."""
-    assert call_script("export", f"run={run}", "path=policy.onnx", cwd=folder).returncode == 0
+    call_script("export", f"run={run}", "path=policy.onnx", cwd=folder, code=0)
     (folder / "drive.py").write_text(BLOCKED + example)
     command = [sys.executable, "drive.py"]
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder).stdout

@@ -94,8 +94,11 @@ def call_script(name, *arguments, cwd=None, code=None):
 
 
 def refusal(name, *arguments, cwd=None):
-    """The sentence with which a script refuses what was typed, without "error: "."""
+    """The sentence with which a script refuses what was typed, without "error: ". Besides, it may
+    only have said which run it looked at.
+    """
     done = call_script(name, *arguments, cwd=cwd, code=2)
+    assert all(line.startswith("run") for line in done.stdout.splitlines())
     (line,) = done.stderr.splitlines()
     assert line.startswith("error: ")
     return line.removeprefix("error: ")

@@ -62,36 +62,27 @@ def envs(monkeypatch):
     return envs
 
 
-def call(name, *arguments):
-    done = call_script(name, *arguments)
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.parametrize("kind", ENVS)
 def test_a_training_closes_the_envs_of_its_evaluations_cross_check_and_video(kind, envs, tmp_path):
     overrides, number = ENVS[kind]
-    call("train", *overrides, f"output_dir={tmp_path}")
+    call_script("train", *overrides, f"output_dir={tmp_path}", code=0)
     assert envs.count() == (number, number)
 
 
 def test_a_training_closes_environments_of_gymnasium(envs, tmp_path):
-    call("train", *BIT_FLIP, f"output_dir={tmp_path}")
+    call_script("train", *BIT_FLIP, f"output_dir={tmp_path}", code=0)
     n_made, n_closed = envs.count()
     assert n_made > 0
     assert n_closed == n_made
 
 
 def test_an_evaluation_closes_its_envs_and_that_of_the_model(envs, tmp_path):
-    call(
-        "evaluate",
-        "run=pretrained",
-        "episodes=3",
-        "simulator=highway_env",
-        f"output_dir={tmp_path}",
-    )
+    arguments = ("run=pretrained", "episodes=3", "simulator=highway_env")
+    call_script("evaluate", *arguments, f"output_dir={tmp_path}", code=0)
     assert envs.count() == (3 + 1, 3 + 1)
 
 
 def test_an_export_closes_the_env_of_the_model(envs, tmp_path):
-    call("export", "run=pretrained", "format=safetensors", f"output_dir={tmp_path}")
+    arguments = ("run=pretrained", "format=safetensors")
+    call_script("export", *arguments, f"output_dir={tmp_path}", code=0)
     assert envs.count() == (1, 1)

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from support.runs import call_script, make_config, only_run
+from support.runs import call_script, make_config, only_run, refusal
 from support.user_policies import FunctionPolicy
 from support.user_tasks import Steps
 
@@ -173,8 +173,7 @@ def test_a_run_is_trained_evaluated_and_read(config_dir, output_dir):
     assert len(episodes.query("phase == 'final'")) == 20
 
     arguments = ("episodes=4", "tracking.mlflow=false", f"output_dir={output_dir}")
-    done = call_script("evaluate", f"run={directory.path}", *arguments)
-    assert done.returncode == 0, done.stderr
+    done = call_script("evaluate", f"run={directory.path}", *arguments, code=0)
     assert "4 episodes of steps, from seed 0" in done.stdout
 
 
@@ -194,19 +193,14 @@ def test_the_class_of_a_run_from_elsewhere_is_not_imported(config_dir, output_di
         shutil.copytree(output_dir, copy)
         run = only_run(copy).path
 
-        def evaluated(*arguments):
-            return call_script(
-                "evaluate", f"run={run}", f"output_dir={copy}", "episodes=2", *arguments
-            )
-
-        done = evaluated()
-        assert "env.task=planted_task.Planted in" in done.stderr
-        assert "trust=true allows it" in done.stderr
-        for command in ("status", "report"):
-            done = call_script(command, "experiment=steps", f"output_dir={copy}")
-            assert done.returncode == 0, done.stderr
+        command = ("evaluate", f"run={run}", f"output_dir={copy}", "episodes=2")
+        sentence = refusal(*command)
+        assert sentence.startswith("env.task=planted_task.Planted in")
+        assert "trust=true allows it" in sentence
+        for name in ("status", "report"):
+            call_script(name, "experiment=steps", f"output_dir={copy}", code=0)
         assert not trace.exists()
-        assert evaluated("trust=true").returncode == 0
+        call_script(*command, "trust=true", code=0)
         assert trace.exists()
 
 

@@ -1,9 +1,8 @@
 """Stable-Baselines3 callbacks of a user's own package, named in the config."""
 
 import pytest
-from support.runs import make_config
+from support.runs import config_refusal, make_config
 
-from parking_exp.errors import ConfigError
 from parking_exp.sweeps.single_run import train
 
 COUNTS = "support.user_callbacks.CountsRollouts"
@@ -43,7 +42,5 @@ def test_a_callback_changes_the_key_of_a_run(tmp_path):
         ),
     ],
 )
-def test_what_is_no_callback_is_refused(tmp_path, callbacks, problem):
-    with pytest.raises(ConfigError) as error:
-        config(tmp_path, callbacks)
-    assert str(error.value) == problem
+def test_what_is_no_callback_is_refused(callbacks, problem):
+    assert config_refusal(f"callbacks=[{callbacks}]") == problem

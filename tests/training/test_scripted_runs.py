@@ -6,7 +6,7 @@ from importlib.metadata import version
 
 import pandas as pd
 import pytest
-from support.runs import call_script, make_config, only_run, script, store
+from support.runs import call_script, make_config, only_run, refusal, script, store
 from support.sweep_processes import wait_until
 
 from parking_exp import load_model
@@ -28,8 +28,7 @@ PLANNER = (
 def planned(tmp_path_factory):
     """The output directory of a finished run of the planner, and what it printed."""
     output_dir = tmp_path_factory.mktemp("planned")
-    done = call_script("train", *PLANNER, f"output_dir={output_dir}")
-    assert done.returncode == 0, done.stderr
+    done = call_script("train", *PLANNER, f"output_dir={output_dir}", code=0)
     return output_dir, done
 
 
@@ -70,18 +69,14 @@ def test_a_run_that_is_killed_while_it_plans_ends_as_if_it_had_not_been(planned,
     process.kill()
     process.wait()
     assert only_run(tmp_path).status == "running"
-    again = call_script("train", *PLANNER, f"output_dir={tmp_path}")
-    assert again.returncode == 0, again.stderr
+    call_script("train", *PLANNER, f"output_dir={tmp_path}", code=0)
     pd.testing.assert_frame_equal(episodes(tmp_path), episodes(planned[0]))
 
 
 def test_a_finished_run_is_evaluated_with_a_replay_of_the_same_episodes(planned):
     output_dir, _ = planned
-    done = call_script(
-        "evaluate", "run=latest", f"output_dir={output_dir}", "episodes=6", "replay=true",
-        "simulator=vectorized",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    arguments = ("run=latest", "episodes=6", "replay=true", "simulator=vectorized")
+    call_script("evaluate", *arguments, f"output_dir={output_dir}", code=0)
     folder = only_run(output_dir).path / "evaluations/parking_parallel-final-seeds-0-5-vectorized"
     assert (folder / "replay.html").stat().st_size > 10_000
     evaluated = pd.read_csv(folder / "episodes.csv").drop(columns="plan_s")
@@ -91,19 +86,14 @@ def test_a_finished_run_is_evaluated_with_a_replay_of_the_same_episodes(planned)
 
 def test_an_evaluation_where_it_cannot_drive_is_refused_with_a_sentence(planned):
     output_dir, _ = planned
-    done = call_script(
-        "evaluate", "run=latest", f"output_dir={output_dir}", "env.action.speed_range=[0,5]",
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert done.stderr == (
-        "error: the planner needs an env.action.speed_range of both directions\n"
-    )
+    options = (f"run={only_run(output_dir).path}", "env.action.speed_range=[0,5]")
+    sentence = "the planner needs an env.action.speed_range of both directions"
+    assert refusal("evaluate", *options) == sentence
 
 
 def test_a_report_has_the_interval_of_the_episodes_and_says_what_the_planner_knows(planned):
     output_dir, _ = planned
-    done = call_script("report", f"output_dir={output_dir}", "report=quick")
-    assert done.returncode == 0, done.stderr
+    call_script("report", f"output_dir={output_dir}", "report=quick", code=0)
     folder = output_dir / "reports" / "parking"
     (cell,) = json.loads((folder / "report.json").read_text())["cells"]
     low, high = wilson_interval(6, 6)

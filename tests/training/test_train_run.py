@@ -253,8 +253,7 @@ def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke, tmp_p
     directory = only_run(tmp_path / "outputs")
     shutil.rmtree(directory.models), (directory.path / "metrics.jsonl").unlink()
     before = sorted(directory.path.rglob("*"))
-    again = call_script("train", "experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
-    assert again.returncode == 0
+    again = call_script("train", "experiment=smoke", f"output_dir={tmp_path / 'outputs'}", code=0)
     assert again.stdout.startswith("already done")
     assert sorted(directory.path.rglob("*")) == before
     assert (
@@ -293,8 +292,7 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(
     killed_at, run_id = checkpoints.latest(directory.checkpoints).name, directory.run_id
     assert directory.status == "running"
     monkeypatch.setattr("support.user_algorithms.Lingers.pause_s", 0)
-    done = call_script("train", *arguments)
-    assert done.returncode == 0, done.stderr
+    done = call_script("train", *arguments, code=0)
     assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr
     assert (directory.run_id, directory.status) == (run_id, "done")
     local = assert_store_is_whole(output_dir, 400)
