@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.runs import make_config
-from support.user_policies import FunctionPolicy
+from support.user_policies import FunctionPolicy, constant
 
 from parking_exp import load_model
 from parking_exp.algorithms.build_model import GreedyPolicy
@@ -26,20 +26,10 @@ from parking_exp.tasks.parking.pose import PoseInSlot, pose_in_slot
 from parking_exp.tasks.registry import make_task
 
 
-@FunctionPolicy
-def straight_on(observation):
-    return np.tile([1.0, 0.0], (len(observation["observation"]), 1))
-
-
-@FunctionPolicy
-def wait(observation):
-    return np.zeros((len(observation["observation"]), 2))
-
-
 def test_one_row_per_scene_in_the_order_asked_for():
     env = make_config("env.duration=2").env
     scenes = [5, 3, 40, 0, *range(100, 140)]  # more than run side by side
-    table = evaluate_policy(wait, make_task(env), scenes)
+    table = evaluate_policy(constant(0.0, 0.0), make_task(env), scenes)
     assert list(table.columns) == episode_columns(METRICS)
     assert table["scene"].tolist() == scenes
     assert set(table["outcome"]) == {"timeout"}
@@ -54,6 +44,7 @@ def test_rows_are_what_a_plain_loop_sees():
     while not done:
         _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0]))
         total, steps, done = total + reward, steps + 1, terminated or truncated
+    straight_on = constant(1.0, 0.0)
     (row,) = evaluate_policy(straight_on, make_task(env_config), [1]).to_dict("records")
     assert (row["steps"], row["return"], row["outcome"]) == (
         steps,

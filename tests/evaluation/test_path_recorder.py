@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.runs import make_config
-from support.user_policies import FunctionPolicy
+from support.user_policies import constant
 from support.user_tasks import Steps
 
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
@@ -12,10 +12,7 @@ from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.registry import make_task
 
-
-@FunctionPolicy
-def turn(observation):
-    return np.tile([1.0, 0.3], (len(observation["observation"]), 1))
+turn = constant(1.0, 0.3)
 
 
 def driven(env_config, seed):
@@ -67,7 +64,6 @@ def test_equal_paths_are_equal_files_in_millimetres(tmp_path):
 def test_a_task_without_positions_has_no_paths(tmp_path):
     task = Steps()
     paths = PathRecorder(task, [0])
-    forward = FunctionPolicy(lambda seen: np.ones((len(seen["observation"]), 1)))
-    evaluate_policy(forward, task, [0], paths=paths)
+    evaluate_policy(constant(1.0), task, [0], paths=paths)
     paths.write(tmp_path / "paths")
     assert not (tmp_path / "paths").exists()

@@ -45,6 +45,14 @@ def compare(config, scenes, act):
     return sum(len(steps) for steps in records), repeat(config, scenes, starts, records)
 
 
+def differences(config, kind, n_scenes, policy=None):
+    """Return what differs in whole episodes of the first scenes, with one kind of actions."""
+    act = actions_of(kind, np.random.default_rng(1), (n_scenes, 2), policy)
+    n_steps, different = compare(config, range(n_scenes), act)
+    assert n_steps > 2 * n_scenes
+    return different
+
+
 def record(config, scenes, act):
     """Run whole episodes in the simulator; return first observations, and (action, observation,
     reward, flags) of steps.

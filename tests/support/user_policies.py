@@ -22,6 +22,11 @@ class FunctionPolicy(Policy):
         return self.function(observation)
 
 
+def constant(*action):
+    """The policy with the same action in all states."""
+    return FunctionPolicy(lambda seen: np.tile(action, (len(seen["observation"]), 1)))
+
+
 class LongSteps(Steps):
     """Steps of up to 2."""
 

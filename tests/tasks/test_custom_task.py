@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from support.runs import call_script, make_config, only_run, refusal
-from support.user_policies import FunctionPolicy
+from support.user_policies import constant
 from support.user_tasks import Steps
 
 from parking_exp.config.compose import compose
@@ -47,26 +47,16 @@ def config_dir(tmp_path):
     return folder
 
 
-@FunctionPolicy
-def forward(observation):
-    return np.ones((len(observation["observation"]), 1), np.float32)
-
-
-@FunctionPolicy
-def backward(observation):
-    return -forward(observation)
-
-
 def test_episodes_end_at_the_goal_at_a_failure_or_in_time():
     task = Steps()
     columns = ["scene", "outcome", "steps", "return"]
-    assert evaluate_policy(forward, task, [0, 1, 2, 3])[columns].to_numpy().tolist() == [
+    assert evaluate_policy(constant(1.0), task, [0, 1, 2, 3])[columns].to_numpy().tolist() == [
         [0, "success", 3, -3.0],
         [1, "success", 2, -1.0],
         [2, "success", 1, 0.0],
         [3, "timeout", 5, -15.0],
     ]
-    assert evaluate_policy(backward, task, [0, 3])[columns].to_numpy().tolist() == [
+    assert evaluate_policy(constant(-1.0), task, [0, 3])[columns].to_numpy().tolist() == [
         [0, "failure", 2, -9.0],
         [3, "failure", 5, -15.0],
     ]

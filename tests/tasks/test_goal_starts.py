@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from shapely.geometry import Polygon, box
+from shapely import box
 from support.runs import make_config
+from support.shapes import polygon
 
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking import goal_starts
 from parking_exp.tasks.parking.free_space import FreeSpace
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, OBSTACLE_M, corners
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, OBSTACLE_M
 from parking_exp.tasks.parking.goal_starts import N_DRAWS, GoalStarts, drive
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.scenes import NO_SLOT
@@ -27,21 +28,14 @@ def touches(scenes, poses, **arguments):
     return FreeSpace(scenes, **arguments).touches(poses)
 
 
-def rectangle(pose, length, width):
-    direction = np.array([np.cos(pose[2]), np.sin(pose[2])])
-    return Polygon(corners(np.array(pose[:2]), direction, length, width))
-
-
 def shapes_of(scenes, row):
     """What stands in a scene, and the space between its walls."""
     parked = [
-        rectangle(pose, CAR_LENGTH_M, CAR_WIDTH_M)
+        polygon(*pose, CAR_LENGTH_M, CAR_WIDTH_M)
         for pose, slot in zip(scenes.vehicle_pose[row], scenes.vehicles[row], strict=True)
         if slot != NO_SLOT
     ]
-    obstacles = [
-        rectangle((*place, 0.0), OBSTACLE_M, OBSTACLE_M) for place in scenes.obstacles[row]
-    ]
+    obstacles = [polygon(*place, 0.0, OBSTACLE_M, OBSTACLE_M) for place in scenes.obstacles[row]]
     half_x, half_y = scenes.free[:, row]
     return parked + obstacles, box(-half_x, -half_y, half_x, half_y)
 
@@ -56,7 +50,7 @@ def test_contacts_are_those_of_the_shapes(overrides):
     for row in range(20):
         others, inside = shapes_of(scenes, row)
         for pose, expected in zip(around_goals[row], touching[row], strict=True):
-            car = rectangle(pose, CAR_LENGTH_M, CAR_WIDTH_M)
+            car = polygon(*pose, CAR_LENGTH_M, CAR_WIDTH_M)
             hit = any(car.intersects(other) for other in others) or not inside.contains(car)
             assert hit == expected
 

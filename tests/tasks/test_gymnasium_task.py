@@ -23,7 +23,7 @@ from support.runs import (
     script,
 )
 from support.sweep_processes import wait_until
-from support.user_policies import FunctionPolicy
+from support.user_policies import FunctionPolicy, constant
 
 from parking_exp.config.compose import compose_configs
 from parking_exp.errors import VideoError
@@ -235,10 +235,7 @@ def test_a_refusal_is_one_line_even_where_packages_print_notices():
 
 
 def test_an_env_that_renders_gives_a_video_and_others_a_reason():
-    @FunctionPolicy
-    def act(observation):
-        return np.zeros((1, 8), np.float32)
-
+    act = constant(*[0.0] * 8)
     frames = list(make_task(config(f"{TOY}Drawn-v0").env).frames(act, [0, 1]))
     assert {frame.shape for frame in frames} == {(40, 80, 3)}
     assert len(frames) == 2 * (1 + 8 + 4)  # the start, each step, and one second of the end
@@ -252,7 +249,7 @@ def test_without_egl_and_osmesa_there_is_a_reason_and_no_video(monkeypatch):
     monkeypatch.setattr(gymnasium_task.sys, "executable", "false")
     task = make_task(make_config("env=fetch_reach").env)
     with pytest.raises(VideoError, match="EGL or OSMesa"):
-        next(task.frames(FunctionPolicy(lambda observation: np.zeros((1, 4))), [0]))
+        next(task.frames(constant(*[0.0] * 4), [0]))
 
 
 def test_any_goal_task_can_be_searched(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import TD3, HerReplayBuffer
 from support.runs import config_refusal, make_config
-from support.simulator_equality import KINDS, actions_of, compare
+from support.simulator_equality import KINDS, differences
 
 import parking_exp.envs
 from parking_exp.algorithms.build_model import GreedyPolicy
@@ -30,30 +30,20 @@ def env_config(lot, *overrides):
     return make_config(f"env={lot}", *[f"env.{override}" for override in overrides]).env
 
 
-def differences(config, kind, n_scenes):
-    """What differs between simulator and highway-env in episodes of 20 s."""
-    short = config.model_copy(update={"duration": 20.0})
-    scenes = list(range(n_scenes))
-    policy = None
-    if kind == "trained":
-        # Of crowded parking-v0: it sees as many vehicles as on these lots.
-        policy = GreedyPolicy(load_model("pretrained/crowded"))
-    act = actions_of(kind, np.random.default_rng(1), (n_scenes, 2), policy)
-    n_steps, different = compare(short, scenes, act)
-    assert n_steps > n_scenes
-    return different
-
-
 @pytest.mark.parametrize(("lot", "level"), VARIANTS)
 def test_a_lot_is_simulated_as_highway_env_does(lot, level):
-    assert differences(env_config(lot, f"level={level}"), "biased", 3) == []
+    config = env_config(lot, f"level={level}", "duration=20")
+    assert differences(config, "biased", 3) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("lot", "level"), VARIANTS)
 def test_a_lot_is_simulated_as_highway_env_does_in_many_scenes(lot, level, kind):
-    assert differences(env_config(lot, f"level={level}"), kind, 60) == []
+    # Of crowded parking-v0: it sees as many vehicles as on these lots.
+    policy = GreedyPolicy(load_model("pretrained/crowded"))
+    config = env_config(lot, f"level={level}", "duration=20")
+    assert differences(config, kind, 60, policy) == []
 
 
 @pytest.mark.parametrize(
@@ -67,7 +57,8 @@ def test_a_lot_is_simulated_as_highway_env_does_in_many_scenes(lot, level, kind)
     ],
 )
 def test_other_lots_are_simulated_as_highway_env_does(overrides):
-    assert differences(env_config("parking_parallel", *overrides), "biased", 3) == []
+    config = env_config("parking_parallel", "duration=20", *overrides)
+    assert differences(config, "biased", 3) == []
 
 
 def test_parallel_slots_stand_in_two_rows_along_the_street():
@@ -456,12 +447,11 @@ def test_stable_baselines3_trains_on_a_lot_with_its_own_her():
 
 def test_a_report_has_the_rates_by_slot_of_the_lot_that_was_stored():
     """Ranges of a stored config are text, and numbers may have become floats."""
-    stored = {f"env.lot.{key}": value for key, value in STORED_LOT.items()}
     config = env_config("parking_bays", "level=hard")
     goals = lot_of(config).from_seeds(range(60)).goal
     outcomes = np.where(goals == goals[0], "success", "crash")
     episodes = pd.DataFrame({"scene": range(60), "outcome": outcomes})
-    data = rates([episodes], {"env.vehicles_count": "[9, 16]", **stored})
+    data = rates([episodes], {"env.vehicles_count": "[9, 16]", **STORED_LOT})
     by_slot = {row["slot"]: row["success"] for row in data["slots"]}
     assert by_slot == {slot: float(slot == goals[0]) for slot in set(goals)}
     assert sum(row["n"] for row in data["slots"]) == 60
@@ -470,8 +460,7 @@ def test_a_report_has_the_rates_by_slot_of_the_lot_that_was_stored():
 @pytest.mark.parametrize("angle", [90.0, [60.0, 90.0]])
 def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored(angle):
     """Each scene has slots of its own size and angle, and therefore in other places."""
-    stored = {f"env.lot.{key}": value for key, value in STORED_LOT.items()}
-    stored["env.lot.angle_deg"] = str(angle)
+    stored = {**STORED_LOT, "env.lot.angle_deg": str(angle)}
     lot = lot_of(env_config("parking_bays", "level=hard", f"lot.angle_deg={angle}"))
     scenes = lot.from_seeds(range(20))
     x, y, heading = scenes.goal_pose.T
@@ -499,9 +488,18 @@ def test_a_report_of_runs_without_paths_draws_the_lot_alone():
 
 
 STORED_LOT = {
-    "angle_deg": np.float64(90.0), "slot_length_m": np.float64(6.0), "slot_width_m": "[2.4, 2.85]",
-    "aisle_width_m": "[5.5, 6.5]", "pitch_m": None, "slots_per_row": np.float64(9.0),
-    "rows": np.int64(2), "end_m": np.float64(8.0), "dead_end": np.False_, "heading": "out",
-    "neighbours": "taken", "starts.x_m": "[-12.0, 12.0]", "starts.y_m": "[-0.5, 0.5]",
-    "starts.heading_deg": "[-10.0, 10.0]",
-}  # fmt: skip
+    "env.lot.angle_deg": np.float64(90.0),
+    "env.lot.slot_length_m": np.float64(6.0),
+    "env.lot.slot_width_m": "[2.4, 2.85]",
+    "env.lot.aisle_width_m": "[5.5, 6.5]",
+    "env.lot.pitch_m": None,
+    "env.lot.slots_per_row": np.float64(9.0),
+    "env.lot.rows": np.int64(2),
+    "env.lot.end_m": np.float64(8.0),
+    "env.lot.dead_end": np.False_,
+    "env.lot.heading": "out",
+    "env.lot.neighbours": "taken",
+    "env.lot.starts.x_m": "[-12.0, 12.0]",
+    "env.lot.starts.y_m": "[-0.5, 0.5]",
+    "env.lot.starts.heading_deg": "[-10.0, 10.0]",
+}

@@ -13,9 +13,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.kinematics import Vehicle
-from support.marks import slow_but
 from support.runs import make_config
-from support.simulator_equality import actions_of, compare
 
 from parking_exp.tasks.parking.features import (
     EgoFrameExtractor,
@@ -38,29 +36,6 @@ def env_config(vehicles, seen, *overrides):
         *overrides,
     ]
     return make_config(*options).env
-
-
-LOTS = [("[0,20]", 8), ("10", 4), ("2", 4)]
-
-
-@pytest.mark.parametrize(("vehicles", "seen"), slow_but(LOTS[:1], LOTS, several=True))
-def test_simulator_and_highway_env_show_the_same_vehicles(vehicles, seen):
-    config = env_config(vehicles, seen, "env.duration=6")
-    steps, mismatches = compare(
-        config, range(8), actions_of("biased", np.random.default_rng(1), (8, 2))
-    )
-    assert steps > 150
-    assert mismatches == []
-
-
-@pytest.mark.parametrize("vehicles", slow_but(["0"], ["0", "[0,26]"]))
-def test_simulator_and_highway_env_have_the_same_obstacles(vehicles):
-    config = env_config(vehicles, 5, "env.obstacles=12", "env.duration=6", "env.policy_frequency=1")
-    steps, mismatches = compare(
-        config, range(16), actions_of("biased", np.random.default_rng(2), (16, 2))
-    )
-    assert steps > 60
-    assert mismatches == []
 
 
 def test_obstacles_are_random_places_in_the_aisle_by_the_documented_rule():

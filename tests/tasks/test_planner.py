@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from support.runs import config_refusal, make_config
+from support.shapes import polygon
 
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy, find_differences
@@ -21,12 +22,6 @@ LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end"
 
 def make_planner(*overrides, seed=0, **arguments):
     return Planner(make_task(make_config(*overrides).env), seed, **arguments)
-
-
-def polygon(x, y, heading, length, width):
-    box = shapely.box(-length / 2, -width / 2, length / 2, width / 2)
-    turned = shapely.affinity.rotate(box, heading, origin=(0, 0), use_radians=True)
-    return shapely.affinity.translate(turned, x, y)
 
 
 def cars(path):

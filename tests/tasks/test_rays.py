@@ -7,9 +7,8 @@ import pytest
 import shapely
 from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.objects import Obstacle
-from support.marks import slow_but
 from support.runs import make_config
-from support.simulator_equality import actions_of, compare
+from support.shapes import polygon
 
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking.geometry import Rectangles
@@ -20,10 +19,14 @@ from parking_exp.tasks.registry import TRAINING_ONLY
 UP = np.pi / 2
 
 
+def rectangles_of(values):
+    """Rectangles with these x, y, headings, lengths and widths."""
+    return Rectangles(values[..., :2], values[..., 2], values[..., 3:])
+
+
 def distances(rectangles, heading=0.0, rays=4, range_m=10.0):
     """Distances from a car at the origin to rectangles (x, y, heading, length, width)."""
-    values = np.reshape(rectangles, (1, -1, 5))
-    scene = Rectangles(values[..., :2], values[..., 2], values[..., 3:])
+    scene = rectangles_of(np.reshape(rectangles, (1, -1, 5)))
     direction = np.array([[np.cos(heading)], [np.sin(heading)]])
     return ray_distances(np.zeros((2, 1)), direction, scene, rays, range_m)[0]
 
@@ -73,44 +76,19 @@ def test_distances_are_those_of_shapelys_geometry():
     position = rng.uniform(-15, 15, (n, 2))
     heading = rng.uniform(-10, 10, n)
     centres = rng.uniform(-15, 15, (n, 6, 2))
-    headings = rng.uniform(-10, 10, (n, 6))
-    lengths = rng.uniform(0.5, 20, (n, 6))
-    widths = rng.uniform(0.5, 4, (n, 6))
+    headings = rng.uniform(-10, 10, (n, 6, 1))
+    lengths = rng.uniform(0.5, 20, (n, 6, 1))
+    widths = rng.uniform(0.5, 4, (n, 6, 1))
+    rectangles = np.concatenate([centres, headings, lengths, widths], axis=-1)
     direction = np.array([np.cos(heading), np.sin(heading)])
-    scenes = Rectangles(centres, headings, np.stack([lengths, widths], axis=-1))
+    scenes = rectangles_of(rectangles)
     seen = ray_distances(position.T, direction, scenes, 16, 8.0)
     assert 0.3 < (seen == 8).mean() < 0.6
     assert (seen == 0).any()
     for row in range(n):
-        polygons = []
-        for number in range(6):
-            length = lengths[row, number] / 2
-            width = widths[row, number] / 2
-            box = shapely.box(-length, -width, length, width)
-            turned = shapely.affinity.rotate(
-                box, headings[row, number], origin=(0, 0), use_radians=True
-            )
-            polygons.append(shapely.affinity.translate(turned, *centres[row, number]))
+        polygons = [polygon(*rectangle) for rectangle in rectangles[row]]
         expected = measured(position[row], heading[row], polygons, 16, 8.0)
         np.testing.assert_allclose(seen[row], expected, rtol=0, atol=1e-9)
-
-
-LOTS = [
-    ("env.vehicles_count=[0,20]", "env.obstacles=8", "env.observation.rays=16"),
-    ("env.vehicles_count=20", "env.observation.rays=32", "env.observation.rays_range_m=40"),
-    ("env.vehicles_count=5", "env.observation.rays=1", "env.observation.vehicles_count=4"),
-    ("env.obstacles=20", "env.observation.rays=7", "env.add_walls=false"),
-    ("env=parking_dead_end", "env.observation.rays=16"),
-]
-
-
-@pytest.mark.parametrize("overrides", slow_but([LOTS[0], LOTS[-1]], LOTS))
-def test_simulator_and_highway_env_show_the_same_rays(overrides):
-    config = make_config(*overrides, "env.duration=6").env
-    act = actions_of("biased", np.random.default_rng(1), (8, 2))
-    steps, mismatches = compare(config, range(8), act)
-    assert steps > 100
-    assert mismatches == []
 
 
 def test_the_wrapper_shows_vehicles_walls_and_obstacles_of_a_users_own_env():

@@ -3,12 +3,12 @@
 import shutil
 import sys
 
-import numpy as np
 import pandas as pd
 import pytest
 from support.report_command import report
 from support.runs import call_script, config_refusal, make_config, only_run
-from support.user_policies import FunctionPolicy
+from support.toy_tasks import BITS
+from support.user_policies import constant
 
 from parking_exp.errors import UntrustedError
 from parking_exp.evaluation.agents import load_model
@@ -22,28 +22,13 @@ OWN = "support.user_metrics"
 BOTH = f"env.metrics=[{OWN}.centred,{OWN}.last_speed]"
 
 
-@FunctionPolicy
-def straight_on(observation):
-    return np.tile([1.0, 0.0], (len(observation["observation"]), 1))
-
-
-@FunctionPolicy
-def forward(observation):
-    return np.ones((len(observation["observation"]), 1), np.float32)
-
-
-@FunctionPolicy
-def first_bit(observation):
-    return np.eye(8)[[0] * len(observation["observation"])]
-
-
 def test_a_metric_of_parking_has_the_pose_at_the_end_and_the_same_info_in_both_simulators():
     metrics = f"env.metrics=[{OWN}.centred,{OWN}.ended,{OWN}.last_speed]"
     task = make_task(make_config("env.duration=6", metrics).env)
 
     tables = []
     for simulator in ("vectorized", "highway_env"):
-        tables.append(evaluate_policy(straight_on, task, range(8), simulator=simulator))
+        tables.append(evaluate_policy(constant(1.0, 0.0), task, range(8), simulator=simulator))
 
     assert list(tables[0].columns[-3:]) == ["centred", "ended", "last_speed"]
     assert tables[0]["centred"].tolist() == (tables[0]["distance_m"] < 0.5).tolist()
@@ -57,7 +42,7 @@ def test_a_metric_of_a_goal_environment_has_its_last_info():
     metric = f"env.metrics=[{OWN}.was_lost]"
     task = make_task(make_config(*options, "algorithm.learning_starts=400", metric).env)
 
-    table = evaluate_policy(first_bit, task, range(4))
+    table = evaluate_policy(constant(*range(BITS)), task, range(4))
 
     assert table.columns[-1] == "was_lost"
     assert table["was_lost"].tolist() == [False] * 4
@@ -68,7 +53,7 @@ def test_a_metric_of_a_task_of_arrays_has_its_state_at_the_end():
         task="support.user_tasks.Steps", name="steps", metrics=[f"{OWN}.position"]
     )
 
-    table = evaluate_policy(forward, make_task(config), [0, 2])
+    table = evaluate_policy(constant(1.0), make_task(config), [0, 2])
 
     assert table["position"].tolist() == [3.0, 3.0]
 
