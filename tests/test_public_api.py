@@ -3,14 +3,13 @@
 import ast
 import itertools
 import re
-import subprocess
 import sys
 import tomllib
 from importlib import import_module
 from importlib.metadata import packages_distributions
 
 import pytest
-from support.runs import ROOT
+from support.runs import ROOT, run_code
 
 from parking_exp import compose
 from parking_exp.config.schema import RunConfig
@@ -93,16 +92,16 @@ def test_documents_name_public_paths_and_rooms_alone(document):
     assert found - set(PUBLIC_PATHS) - {f"parking_exp.{room}" for room in ROOMS} == set()
 
 
-def test_importing_the_package_imports_nothing_heavy():
-    code = (
-        "import sys, parking_exp\n"
-        "heavy = {'torch', 'mlflow', 'pandas', 'hydra', 'pydantic'}\n"
-        "print(sorted(heavy & set(sys.modules)))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
-    )
-    assert done.stdout == "[]\n"
+@pytest.mark.parametrize(
+    ("package", "heavy"),
+    [
+        ("parking_exp", {"torch", "mlflow", "pandas", "hydra", "pydantic"}),
+        ("parking_exp.statistics", {"torch", "pandas", "scipy"}),
+    ],
+)
+def test_importing_a_package_imports_nothing_heavy(package, heavy):
+    code = f"import sys, {package}; print({heavy} & set(sys.modules))"
+    assert run_code(code, cwd=ROOT).stdout == "set()\n"
 
 
 def _imported(path):

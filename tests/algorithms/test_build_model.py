@@ -1,15 +1,11 @@
 """Configs become models."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 import torch
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from support.marks import slow_but
 from support.models import make_model
-from support.runs import make_config, options
+from support.runs import ROOT, make_config, options, run_code
 
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.buffers import HerBuffer
@@ -139,8 +135,4 @@ model = build_model(config, task, make_training_envs(task, 2), seed=0).learn(100
 model.save(Path(tempfile.mkdtemp()) / "model.zip")
 print(model._n_updates > 0, "torch._dynamo" in sys.modules)
 """
-    tests = Path(__file__).parents[1]
-    done = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=tests
-    )
-    assert done.stdout == "True False\n"
+    assert run_code(code, cwd=ROOT / "tests").stdout == "True False\n"

@@ -10,7 +10,7 @@ import pytest
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
-from support.runs import GROUPS, make_config, options
+from support.runs import GROUPS, config_refusal, make_config, options
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.compose import compose, compose_configs, compose_runs
@@ -139,18 +139,17 @@ def test_paths_that_hydras_grammar_cannot_parse_are_quoted(argument, expected):
     assert to_hydra_syntax(argument) == expected
 
 
-def test_a_users_own_options_apply_to_that_call_only(tmp_path):
+def test_compose_takes_a_directory_of_the_users_own_options_for_that_call_only(tmp_path):
+    words = ("evaluation=long", "evaluation.first_scene=7")
     (tmp_path / "evaluation").mkdir()
-    for value in (50, 51):
-        (tmp_path / "evaluation" / "long.yaml").write_text(
-            f"defaults: [default]\nn_scenes: {value}\n"
-        )
-        (config,) = compose_configs(
-            "config", ["evaluation=long", "evaluation.first_scene=7"], str(tmp_path)
-        )
-        assert (config.evaluation.n_scenes, config.evaluation.first_scene) == (value, 7)
-    with pytest.raises(ConfigError, match=r"^evaluation=long"):
-        compose_configs("config", ["evaluation=long"])
+    for value, folder in ((50, tmp_path), (51, str(tmp_path))):
+        path = tmp_path / "evaluation" / "long.yaml"
+        path.write_text(f"defaults: [default]\nn_scenes: {value}\n")
+        evaluation = compose(*words, config_dir=folder).evaluation
+        assert (evaluation.n_scenes, evaluation.first_scene) == (value, 7)
+    assert config_refusal("evaluation=long").startswith("evaluation=long")
+    with pytest.raises(ConfigError, match=r"^config_dir=nowhere is not a directory$"):
+        compose("evaluation=long", config_dir="nowhere")
 
 
 def test_an_experiment_file_may_be_anywhere(tmp_path):
@@ -240,15 +239,6 @@ def test_the_launcher_of_an_experiment_file_is_used_unless_the_command_line_name
     assert composed() == ("slurm", 1)
     assert composed("hydra.launcher.n_jobs=5") == ("slurm", 5)
     assert composed("hydra/launcher=local") == ("local", 1)
-
-
-def test_compose_takes_a_directory_of_the_users_own_options(tmp_path):
-    (tmp_path / "env").mkdir()
-    (tmp_path / "env" / "short.yaml").write_text("defaults: [parking]\nname: short\nduration: 50\n")
-    assert compose("env=short", config_dir=tmp_path).env.name == "short"
-    assert compose("env=short", config_dir=str(tmp_path)).env.duration == 50
-    with pytest.raises(ConfigError, match=r"^config_dir=nowhere is not a directory$"):
-        compose("env=short", config_dir="nowhere")
 
 
 @pytest.mark.parametrize(

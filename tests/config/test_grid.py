@@ -64,19 +64,9 @@ def test_values_of_no_cell_are_refused_by_name():
         )
 
 
-def test_without_blocks_the_command_line_is_the_product():
-    assert expand_points([], {}, has) == [()]
-    assert expand_points([], {"a": ["1", "2"], "b": ["x"]}, has) == [("a=1", "b=x"), ("a=2", "b=x")]
-
-
 def test_values_are_written_as_hydra_reads_them():
     (point,) = expand_points([{"a": None, "b": True, "c": [[64, 64]], "d": 1e-3}], {}, has)
     assert point == ("a=null", "b=true", "c=[64,64]", "d=0.001")
-
-
-@pytest.mark.parametrize(("value", "seeds"), [(None, None), (3, [0, 1, 2]), ([4, 2, 4], [4, 2])])
-def test_seeds_are_a_number_or_a_list(value, seeds):
-    assert seeds_of(value) == seeds
 
 
 @pytest.mark.parametrize("value", [0, 2**32, True, "x", [], 1.5, [True], [3, 2**32]])
@@ -87,11 +77,8 @@ def test_other_seeds_are_refused(value):
 
 def test_seeds_on_a_command_line():
     assert [run.seed for run in runs("seeds=3")] == [0, 1, 2]
-    assert (
-        [run.seed for run in runs("seeds=[5,2]")]
-        == [run.seed for run in runs("seeds=5,2")]
-        == [5, 2]
-    )
+    assert [run.seed for run in runs("seeds=[5,2,5]")] == [5, 2]
+    assert [run.seed for run in runs("seeds=5,2")] == [5, 2]
     assert [
         run.seed for run in runs("experiment=her_relabelling", "seed=9", "buffer=her_episode")
     ] == [9] * 11

@@ -58,7 +58,6 @@ def refusal(plain):
         ("device", "gpu", "cuda"),
         ("updates_per_step", float("nan"), "finite"),
         ("evaluation", "often", "dictionary"),
-        ("env.task", "chess", "'parking', 'gymnasium'"),
         ("evaluation.final_n_scenes", 10000000000, "10000000"),
         ("evaluation.first_scene", 2147483600, "2147483148"),
         ("evaluation.final_n_scenes", 1, "evaluation.n_scenes"),

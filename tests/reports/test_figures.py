@@ -210,10 +210,6 @@ def test_a_lot_without_walls_has_none_in_figures(three):
     assert len(walled.collections) - len(not_walled.collections) == 1
 
 
-def test_no_paths_give_no_figure(three):
-    assert [*lot_figures.draw_paths(three)] == []
-
-
 @pytest.mark.parametrize(
     "example",
     [

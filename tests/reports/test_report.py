@@ -2,13 +2,11 @@
 
 import json
 import re
-import subprocess
-import sys
 
 import pytest
 import yaml
 from support.report_command import report
-from support.runs import ROOT, copy_of, store
+from support.runs import ROOT, copy_of, run_code, store
 from support.store_factory import Look, make_store
 
 from parking_exp.cli.report import read_overrides
@@ -91,10 +89,7 @@ def test_torch_the_simulators_and_optuna_are_not_imported(made):
         "heavy = {'torch', 'gymnasium', 'highway_env', 'stable_baselines3', 'optuna'}\n"
         "print([*heavy & {*sys.modules}])"
     )
-    command = [sys.executable, "-c", code, f"output_dir={made}", "report.formats=[]"]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=120
-    )
+    done = run_code(code, f"output_dir={made}", "report.formats=[]", cwd=ROOT)
     assert done.stdout.splitlines()[-1] == "[]"
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from support.runs import copy_of, read_text
-from support.store_factory import Look, compose, make_store
+from support.runs import copy_of, read_text, smoke_config
+from support.store_factory import Look, make_store
 
 from parking_exp.config.cell_labels import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
@@ -235,7 +235,7 @@ def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports
 ):
     contrasts = [["her /no noise", "0.10"]]
     cells = {
-        label: compose().model_copy(
+        label: smoke_config().model_copy(
             update={"label": label, "contrasts": contrasts, "torch_threads": number}
         )
         for number, label in enumerate(LABELS, 1)

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.mlflow_servers import closed_port, mlflow_server, needs_server
-from support.runs import copy_of, store
-from support.store_factory import STARTED_MS, Look, compose, made_episodes, make_store
+from support.runs import copy_of, smoke_config, store
+from support.store_factory import STARTED_MS, Look, made_episodes, make_store
 
 import parking_exp.results
 from parking_exp.config.paths import default_uri
@@ -138,7 +138,7 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
     assert runs.at[four, "config.buffer.n_sampled_goal"] == 4
     assert runs.at[none, "config.buffer.n_sampled_goal"] is None
     assert str(runs["config.algorithm.tau"].dtype) == "float64"
-    assert runs.at[four, "config.algorithm.tau"] == compose().algorithm.arguments["tau"]
+    assert runs.at[four, "config.algorithm.tau"] == smoke_config().algorithm.arguments["tau"]
     assert str(runs["config.env.add_walls"].dtype) == "bool"
     assert runs.at[four, "config.algorithm.net_arch"] == "[16, 16]"
     assert runs["config.timeout_s"].isna().all()

@@ -2,8 +2,6 @@
 
 import itertools
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -42,19 +40,6 @@ EPISODES = st.sampled_from([None, 100])
 SEEDS = st.lists(
     st.integers(0, 100).map(lambda successes: successes / 100), min_size=2, max_size=12
 )
-
-
-def test_importing_statistics_imports_neither_scipy_nor_pandas():
-    code = (
-        "import sys, parking_exp.statistics\n"
-        "print(sorted({'scipy', 'pandas', 'torch'} & set(sys.modules)))"
-    )
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        ).stdout
-        == "[]\n"
-    )
 
 
 # One rate
@@ -178,12 +163,6 @@ def test_p_is_the_share_of_all_assignments_and_swapping_the_cells_does_not_chang
     p = permutation_p(strata)
     assert p == pytest.approx(enumerate_assignments(strata), abs=1e-12)
     assert permutation_p([(b, a) for a, b in strata]) == pytest.approx(p, abs=1e-12)
-
-
-def test_ties_count_whatever_the_number_of_episodes():
-    a = np.array([300, 300, 300, 298, 300]) / 300
-    b = np.array([294, 299, 298, 299, 299]) / 300
-    assert permutation_p([(a, b)]) == pytest.approx(34 / 252)
 
 
 @pytest.mark.parametrize(

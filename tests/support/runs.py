@@ -1,6 +1,7 @@
 """Compose configs, run scripts in processes or here, and read what their runs left."""
 
 import contextlib
+import functools
 import gc
 import gzip
 import importlib
@@ -16,8 +17,7 @@ import pytest
 
 from parking_exp.cli.evaluate import evaluate
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.compose import compose_configs
-from parking_exp.config.validate import validate
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
@@ -46,10 +46,13 @@ def parking_envs():
     return [option for option in options("env") if option.startswith("parking")]
 
 
-def make_config(*overrides):
-    """Compose and check one run's config."""
-    (config,) = compose_configs("config", list(overrides))
-    return validate(config)
+make_config = compose  # and check the config of one run
+
+
+@functools.cache
+def smoke_config(*overrides):
+    """Compose a cell of the smoke experiment, once."""
+    return make_config("experiment=smoke", *overrides)
 
 
 def script(name, *arguments, cwd=None, env=None):
@@ -63,6 +66,16 @@ def run_script(name, *arguments, cwd=None, env=None, timeout=180, code=None):
     command, keywords = script(name, *arguments, cwd=cwd, env=env)
     done = subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
     assert code in (None, done.returncode), done
+    return done
+
+
+def run_code(code, *arguments, cwd=None):
+    """Run a program in a process of its own, which succeeds."""
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(
+        command, check=False, capture_output=True, text=True, timeout=180, cwd=cwd
+    )
+    assert done.returncode == 0, done.stderr
     return done
 
 

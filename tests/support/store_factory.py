@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.evaluation.evaluate_policy import summarise
@@ -30,6 +29,7 @@ from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import sync_run
 from support.result_frames import Run, outcomes
+from support.runs import smoke_config
 
 STARTED_MS = 1_700_000_000_000
 WALL_S = 600.0
@@ -84,7 +84,7 @@ def make_store(
     where = uri or default_uri(Path(output_dir).absolute())
     runs = {}
     for label, cell in cells.items():
-        whole = cell if isinstance(cell, RunConfig) else compose(*cell)
+        whole = cell if isinstance(cell, RunConfig) else smoke_config(*cell)
         tracking = whole.tracking.model_copy(update={"uri": uri})
         for seed in seeds:
             update = {
@@ -100,15 +100,6 @@ def make_store(
     for key, directory in runs.items():
         _send(directory, look(*key), store)
     return runs
-
-
-@cache
-def compose(*overrides: str) -> RunConfig:
-    """Compose one cell of the smoke experiment."""
-    from parking_exp.config.validate import validate
-
-    (config,) = compose_configs("config", ["experiment=smoke", *overrides])
-    return validate(config)
 
 
 def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.DataFrame:

@@ -2,24 +2,18 @@
 
 import sqlite3
 from contextlib import closing
-from functools import cache
 
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_provenance import provenance_tags
-from support.runs import make_config
+from support.runs import smoke_config
 from support.sync_processes import grow
-
-
-@cache
-def _smoke_config():
-    return make_config("experiment=smoke")
 
 
 def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
     """A run directory as at the start of a training."""
-    smoke = _smoke_config()
+    smoke = smoke_config()
     tracking = smoke.tracking.model_copy(update={"uri": uri})
     config = smoke.model_copy(
         update={"output_dir": str(output_dir), "seed": seed, "tracking": tracking}

@@ -1,10 +1,7 @@
-"""Plans of sweeps: labels of cells, and what is due."""
+"""Plans of sweeps: cells, and what is due."""
 
 from support.runs import call_script
 from support.sweep_processes import QUICK
-
-from parking_exp.config.compose import compose_runs
-from parking_exp.sweeps.sweep import plan
 
 
 def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
@@ -23,19 +20,3 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
     ]
     assert "2 cells x 3 seeds = 6 runs: 0 done, 6 to run\n" in done.stdout
     assert list(tmp_path.iterdir()) == []
-
-
-def test_labels_of_a_sweep_are_what_differs_between_its_cells(tmp_path):
-    axes = [
-        "buffer.n_sampled_goal=2,4",
-        "algorithm.gamma=0.9",
-        "buffer.goal_selection_strategy=final,future",
-    ]
-    runs = plan(
-        compose_runs("config", [*QUICK, "buffer=her_final", *axes, f"output_dir={tmp_path}"])
-    )
-    assert [run.label for run in runs] == [
-        f"goal_selection_strategy={strategy}, n_sampled_goal={number}"
-        for number in (2, 4)
-        for strategy in ("final", "future")
-    ]

@@ -11,7 +11,7 @@ import time
 import psutil
 import pytest
 from support.run_equality import differences
-from support.runs import call_script, run_script, store
+from support.runs import call_script, run_code, run_script, store
 from support.sweep_processes import (
     QUICK,
     SLOW,
@@ -50,7 +50,7 @@ assert psutil.Process().num_threads() == 1
 
 
 def test_the_server_imports_the_training_without_threads_cuda_or_mlflow():
-    assert subprocess.run([sys.executable, "-c", SERVER], check=False).returncode == 0
+    run_code(SERVER)
 
 
 @pytest.mark.parametrize("start_method", START_METHODS)

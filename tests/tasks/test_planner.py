@@ -78,15 +78,16 @@ def test_the_car_parks_in_the_simulator_and_in_highway_env(env, level):
     assert find_differences(episodes, certified) == []
 
 
-def test_obstacles_and_parked_cars_of_highway_envs_own_lot_are_avoided():
-    planner = make_planner("env=parking_crowded", "env.obstacles=3")
-    episodes = evaluate_policy(planner, planner.task, range(6))
-    assert episodes["outcome"].tolist() == ["success"] * 6
-
-
-@pytest.mark.parametrize("ranges", ["acceleration_range=[-1,1]", "speed_range=[-1,1]"])
-def test_a_slower_car_parks_too(ranges):
-    planner = make_planner("algorithm=planner", *TIGHT, f"env.action.{ranges}")
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("env=parking_crowded", "env.obstacles=3"),
+        (*TIGHT, "algorithm=planner", "env.action.acceleration_range=[-1,1]"),
+        (*TIGHT, "algorithm=planner", "env.action.speed_range=[-1,1]"),
+    ],
+)
+def test_a_car_parks_among_obstacles_and_a_slower_one_in_a_tight_slot(overrides):
+    planner = make_planner(*overrides)
     assert evaluate_policy(planner, planner.task, range(6))["outcome"].tolist() == ["success"] * 6
 
 

@@ -2,9 +2,6 @@
 train, or the run says why not.
 """
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import torch
@@ -17,6 +14,7 @@ from support.runs import (
     make_config,
     only_run,
     refusal,
+    run_code,
 )
 
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
@@ -187,14 +185,7 @@ def test_an_env_of_a_notebook_trains_in_processes_of_its_own(tmp_path):
         "from parking_exp import compose, train\n"
         f"train(compose(*{overrides!r}))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=ROOT / "tests",
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    run_code(program, cwd=ROOT / "tests")
     assert only_run(tmp_path).status == "done"
 
 

@@ -11,7 +11,7 @@ import time
 from contextlib import closing
 
 import pytest
-from support.runs import ROOT, store, sync_stored
+from support.runs import ROOT, run_code, store, sync_stored
 from support.sync_processes import sync
 from support.tracked_runs import finished_run
 
@@ -235,7 +235,4 @@ os.environ.pop("HOME", None)
 from parking_exp.tracking.client import import_mlflow
 import_mlflow()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=100
-    )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert run_code(code).stderr == ""
