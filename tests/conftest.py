@@ -75,25 +75,32 @@ def installed_wheel(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def smoke(tmp_path_factory):
-    """A finished smoke run: (its directory, the completed process, its output directory).
+def smoke_folder(tmp_path_factory):
+    """The folder of a finished smoke run's outputs and of what it has printed."""
+    folder = tmp_path_factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+    printed = folder / "smoke" / "printed.json"
+    with FileLock(folder / "smoke.lock"):
+        if not printed.exists():
+            output = f"output_dir={folder / 'smoke' / 'outputs'}"
+            done = run_script("train", "experiment=smoke", output, code=0)
+            printed.write_text(json.dumps([done.stdout, done.stderr]))
+    return folder / "smoke"
+
+
+@pytest.fixture(scope="session")
+def smoke(smoke_folder):
+    """The run directory of a finished smoke run.
 
     All workers of a test session share it: tests read it, and change copies.
     """
-    folder = tmp_path_factory.getbasetemp()
-    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
-    output_dir, process_file = folder / "smoke" / "outputs", folder / "smoke" / "process.json"
-    with FileLock(folder / "smoke.lock"):
-        if not process_file.exists():
-            done = run_script("train", "experiment=smoke", f"output_dir={output_dir}", code=0)
-            process_file.write_text(
-                json.dumps([done.args, done.returncode, done.stdout, done.stderr])
-            )
-    return (
-        only_run(output_dir),
-        subprocess.CompletedProcess(*json.loads(process_file.read_text())),
-        output_dir,
-    )
+    return only_run(smoke_folder / "outputs")
+
+
+@pytest.fixture
+def smoke_copy(smoke, tmp_path):
+    """The run directory in a copy of its output directory, with its store."""
+    return only_run(shutil.copytree(smoke.output_dir, tmp_path / "outputs"))
 
 
 @pytest.fixture

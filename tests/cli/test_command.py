@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.marks import slow_but
-from support.runs import GROUPS, ROOT, call_script, options, refusal, run_code, script
+from support.runs import GROUPS, ROOT, call_script, names_in, options, refusal, run_code, script
 
 from parking_exp.cli import status
 from parking_exp.cli.command import _parse, errors_as_sentences
@@ -148,7 +148,7 @@ def test_config_dir_adds_options_and_cfg_shows_the_config_and_runs_nothing(tmp_p
         cwd=tmp_path,
     )
     assert "name: short\n" in shown.stdout and "total_timesteps: 10000\n" in shown.stdout
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    assert names_in(tmp_path) == ["mine"]
 
 
 @pytest.mark.slow
@@ -186,9 +186,7 @@ def test_a_built_wheel_works_from_any_directory(installed_wheel, tmp_path):
         files = {path.name for path in (site / "parking_exp" / "pretrained" / name).iterdir()}
         assert files == {"README.md", "config.yaml", "policy.safetensors"}
     commands = ("evaluate", "export", "report", "status", "train", "tune")
-    assert sorted(path.name for path in (site / "bin").iterdir()) == [
-        f"parking-{name}" for name in commands
-    ]
+    assert names_in(site / "bin") == [f"parking-{name}" for name in commands]
 
 
 def test_an_editable_install_has_the_console_scripts(tmp_path):

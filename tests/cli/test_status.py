@@ -174,7 +174,7 @@ def test_status_refuses_in_one_sentence(tmp_path, arguments, message):
 
 
 def test_a_running_run_shows_step_rate_time_left_and_host(smoke, tmp_path):
-    assert read_json(smoke[0].path / "beat.json")["step"] == 400  # a training writes them
+    assert read_json(smoke.path / "beat.json")["step"] == 400  # a training writes them
     run = RunDirectory(run_dir(tmp_path, status="running", host="here", started=time.time() - 1))
     with run.supervisor_lock():
         run.heartbeat(step=400, steps_per_s=20.0, doing="train")

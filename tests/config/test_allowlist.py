@@ -34,7 +34,7 @@ def foreign_run(smoke, tmp_path):
     directory = tmp_path / "run"
     (directory / "models").mkdir(parents=True)
     for name in ("config.yaml", "status.json", "models/final.zip"):
-        shutil.copyfile(smoke[0].path / name, directory / name)
+        shutil.copyfile(smoke.path / name, directory / name)
 
     def change(key, value):
         config = OmegaConf.load(directory / "config.yaml")

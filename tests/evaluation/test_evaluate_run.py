@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
-from support.runs import artifacts, call_script, evaluate_stored, only_run, refusal, store
+from support.runs import artifacts, call_script, evaluate_stored, refusal, store
 
 from parking_exp import compose, train
 from parking_exp.config.compose import compose_configs
@@ -26,18 +26,11 @@ from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.registry import make_task
 
 
-@pytest.fixture
-def finished(smoke, tmp_path):
-    """A copy of a finished run: its directory, and its output directory."""
-    shutil.copytree(smoke[2], tmp_path / "outputs")
-    return only_run(tmp_path / "outputs"), tmp_path / "outputs"
-
-
-def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
-    directory, output_dir = finished
+def test_episodes_rates_and_a_video_are_printed_and_stored(smoke_copy):
+    output_dir = smoke_copy.output_dir
     done = call_script(
         "evaluate",
-        f"run={directory.run_id}",
+        f"run={smoke_copy.run_id}",
         f"output_dir={output_dir}",
         "episodes=6",
         "video=1",
@@ -49,7 +42,7 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     assert [line for line in done.stderr.splitlines() if copied not in line] == []
     for name in ("success", "crash", "timeout", "parked"):
         assert re.search(rf"^{name} +\d+\.\d%   95 % interval", done.stdout, re.MULTILINE)
-    folder = directory.path / "evaluations" / "parking-final-seeds-0-5"
+    folder = smoke_copy.path / "evaluations" / "parking-final-seeds-0-5"
     assert f"results        {folder}" in done.stdout
     assert f"replay         {folder / 'replay.html'}" in done.stdout
     page = (folder / "replay.html").read_text()
@@ -64,7 +57,7 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     with Image.open(folder / "video.gif") as gif:  # frames that repeat are shown longer instead
         shown_ms = sum(frame.info["duration"] for frame in ImageSequence.Iterator(gif))
     assert shown_ms == 200 * -(-frames // 3)
-    stored = artifacts(store(output_dir), directory.run_id, f"evaluations/{folder.name}")
+    stored = artifacts(store(output_dir), smoke_copy.run_id, f"evaluations/{folder.name}")
     assert [path.rpartition("/")[2] for path in stored] == [
         "episodes.csv",
         "replay.html",
@@ -74,31 +67,30 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     ]
     # The same model on the same scenes: what the run itself saw at its end.
     final = (
-        pd.read_csv(directory.path / "episodes.csv")
+        pd.read_csv(smoke_copy.path / "episodes.csv")
         .query("phase == 'final'")
         .reset_index(drop=True)
     )
     pd.testing.assert_frame_equal(table.head(5), final[episode_columns(METRICS)], rtol=1e-6)
 
 
-def test_another_env_the_best_model_and_a_name_can_be_chosen_and_earlier_files_go(finished):
-    directory, _ = finished
-    arguments = (f"run={directory.path}", "episodes=2", "env=parking_crowded", "env.duration=0.4",
+def test_another_env_the_best_model_and_a_name_can_be_chosen_and_earlier_files_go(smoke_copy):
+    arguments = (f"run={smoke_copy.path}", "episodes=2", "env=parking_crowded", "env.duration=0.4",
                  "model=best", "tracking.mlflow=false", "name=crowded")  # fmt: skip
     for seen in (["video=1", "replay=true"], []):
         done = call_script("evaluate", *arguments, *seen, code=0)
     assert "best model on 2 episodes of parking_crowded" in done.stdout
-    folder = directory.path / "evaluations" / "crowded"
+    folder = smoke_copy.path / "evaluations" / "crowded"
     assert {path.name for path in folder.iterdir()} == {"episodes.csv", "summary.json"}
     assert len(pd.read_csv(folder / "episodes.csv")) == 2
 
 
-def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_table(finished):
-    directory, output_dir = finished
-    twin = directory.path.with_name("seed=8")
-    shutil.copytree(directory.path, twin)
+def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_table(smoke_copy):
+    output_dir = smoke_copy.output_dir
+    twin = smoke_copy.path.with_name("seed=8")
+    shutil.copytree(smoke_copy.path, twin)
     arguments = (
-        f"run={directory.path.parents[1]}",
+        f"run={smoke_copy.path.parents[1]}",
         f"output_dir={output_dir}",
         "episodes=3",
         "simulator=vectorized",
@@ -119,13 +111,13 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     RunDirectory(twin).update(status="failed")
     done = call_script("evaluate", *arguments[:-1])
     assert "1 unfinished run" in done.stdout
-    RunDirectory(directory.path).update(status="running")
+    RunDirectory(smoke_copy.path).update(status="running")
     assert "none of its 2 runs is finished" in refusal("evaluate", *arguments)
 
 
-def test_an_env_is_checked_once_for_all_its_agents(finished, monkeypatch):
-    directory, output_dir = finished
-    shutil.copytree(directory.path, directory.path.with_name("seed=8"))
+def test_an_env_is_checked_once_for_all_its_agents(smoke_copy, monkeypatch):
+    output_dir = smoke_copy.output_dir
+    shutil.copytree(smoke_copy.path, smoke_copy.path.with_name("seed=8"))
     checked = []
 
     def problems(task):
@@ -134,21 +126,20 @@ def test_an_env_is_checked_once_for_all_its_agents(finished, monkeypatch):
 
     monkeypatch.setattr(ParkingTask, "problems", problems)
     options = [f"output_dir={output_dir}", "episodes=3", "env.vehicles_count=0,20"]
-    assert refusal("evaluate", f"run={directory.path.parents[1]}", *options) == "env is wrong"
+    assert refusal("evaluate", f"run={smoke_copy.path.parents[1]}", *options) == "env is wrong"
     assert checked == [0, 20]
-    assert not (directory.path / "evaluations").exists()
+    assert not (smoke_copy.path / "evaluations").exists()
 
 
-def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
-    directory, _ = finished
-    config = OmegaConf.load(directory.path / "config.yaml")
+def test_an_agent_keeps_its_observation_on_another_option_of_env(smoke_copy):
+    config = OmegaConf.load(smoke_copy.path / "config.yaml")
     OmegaConf.update(config, "env.observation.vehicles_count", 4)
-    OmegaConf.save(config, directory.path / "config.yaml")
+    OmegaConf.save(config, smoke_copy.path / "config.yaml")
     (request,) = (
         validate_evaluation(config)
         for config in compose_configs("evaluate", ["env=parking_crowded"])
     )
-    env = choose_env(request, find_agent(str(directory.path), directory.output_dir))
+    env = choose_env(request, find_agent(str(smoke_copy.path), smoke_copy.output_dir))
     assert (env.name, env.vehicles_count) == ("parking_crowded", 10)
     assert env.observation.vehicles_count == 4
 
@@ -179,21 +170,20 @@ def test_a_level_of_a_stored_run_needs_its_env(parked_in_parallel):
     )
 
 
-def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(finished):
-    directory, _ = finished
-    path = directory.models / "final.zip"
-    config = OmegaConf.load(directory.path / "config.yaml")
+def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(smoke_copy):
+    path = smoke_copy.models / "final.zip"
+    config = OmegaConf.load(smoke_copy.path / "config.yaml")
     OmegaConf.update(config, "algorithm.net_arch", [8, 8])
-    OmegaConf.save(config, directory.path / "config.yaml")
+    OmegaConf.save(config, smoke_copy.path / "config.yaml")
     with pytest.raises(ModelError, match=rf"^{path} .*config\.yaml") as refusal:
-        evaluate_stored(directory.path)
+        evaluate_stored(smoke_copy.path)
     assert "\n" not in str(refusal.value)
     os.truncate(path, 3000)
     with pytest.raises(ModelError, match=rf"^{path} is damaged"):
-        evaluate_stored(directory.path)
+        evaluate_stored(smoke_copy.path)
     path.unlink()
     with pytest.raises(RunNotFoundError, match=str(path)):
-        evaluate_stored(directory.path)
+        evaluate_stored(smoke_copy.path)
 
 
 @pytest.mark.parametrize(
@@ -216,7 +206,7 @@ def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(
     ],
 )
 def test_a_mistake_is_one_sentence_that_names_the_key(smoke, arguments, named):
-    assert named in refusal("evaluate", f"output_dir={smoke[2]}", *arguments)
+    assert named in refusal("evaluate", f"output_dir={smoke.output_dir}", *arguments)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import torch
 from safetensors.numpy import load
 from support.marks import slow_but
 from support.models import make_model
-from support.runs import ROOT, call_script, refusal, run_script
+from support.runs import ROOT, call_script, names_in, refusal, run_script
 
 from parking_exp.algorithms import policy_export
 from parking_exp.algorithms.policy_export import export_onnx
@@ -98,7 +98,7 @@ def test_a_file_whose_actions_differ_is_not_written(monkeypatch):
 def run(smoke, tmp_path_factory):
     """A copy of the smoke run."""
     copy = tmp_path_factory.mktemp("export") / "outputs"
-    shutil.copytree(smoke[2], copy, ignore=shutil.ignore_patterns("mlflow*", "checkpoints"))
+    shutil.copytree(smoke.output_dir, copy, ignore=shutil.ignore_patterns("mlflow*", "checkpoints"))
     return next(copy.glob("*/*/seed=*"))
 
 
@@ -121,7 +121,7 @@ def test_the_command_writes_into_the_run_directory_or_to_a_path(file_format, run
         f"format={file_format}",
     )
     assert f"best model as {file_format}" in call_script("export", *arguments, cwd=tmp_path).stdout
-    assert [path.name for path in (tmp_path / "made").iterdir()] == [f"best{path.suffix}"]
+    assert names_in(tmp_path / "made") == [f"best{path.suffix}"]
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_mistake_is_one_sentence_that_names_the_key(arguments, named, run, tmp
     (tmp_path / "file").touch()
     words = [argument.format(run=run) for argument in arguments]
     assert refusal("export", *words, cwd=tmp_path).startswith(named.format(here=tmp_path))
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert names_in(tmp_path) == ["file"]
 
 
 @pytest.mark.parametrize(

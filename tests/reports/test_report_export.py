@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from support.report_command import report
-from support.runs import copy_of
+from support.runs import copy_of, names_in
 from support.searches import settings
 from support.store_factory import Look, make_store
 
@@ -15,7 +15,7 @@ from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.search_report import with_search
 from parking_exp.results import load, write_export
 from parking_exp.tuning.search import StoredSearch
-from parking_exp.tuning.trials import TrialRow
+from parking_exp.tuning.trials import RetestedTrial, TrialRow
 
 CELLS = {
     f"{buffer}{n}": [
@@ -112,10 +112,14 @@ def test_an_export_of_some_cells_has_no_others(source, folder, tmp_path):
 
 
 def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
-    trial = TrialRow(
-        0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"]
-    )
-    search = StoredSearch("one", 2, settings(), [trial], retested=[])
+    space = {
+        "algorithm.gamma": {"uniform": [0.9, 0.99]},
+        "buffer": {"choices": ["her_future", "replay"]},
+    }
+    parameters = {"algorithm.gamma": 0.9, "buffer": "replay"}
+    trial = TrialRow(0, "done", {}, parameters, 0.5, [0.25, 0.75], ["one/cell/seed=0"])
+    retested = RetestedTrial(0, "trial 0: unchanged", {}, [0.5], [0.5])  # one seed: no interval
+    search = StoredSearch("one", 2, settings(space=space), [trial], [retested])
     data = with_search(report_of(source), search)
     write_report_export(source, data, tmp_path / "one", only_cells=False)
     export = read_report_export(str(tmp_path / "one"))
@@ -157,7 +161,7 @@ def test_the_command_writes_an_export_and_reports_on_it_without_a_store(output_d
     assert from_export[:-1] == [line for line in from_store[:-1] if not line.startswith("export")]
     numbers = json.loads((tmp_path / "reports" / "one" / "report.json").read_text())
     assert numbers["provenance"]["uri"] == "theirs"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["reports", "theirs"]
+    assert names_in(tmp_path) == ["reports", "theirs"]
 
 
 @pytest.mark.parametrize(
@@ -176,4 +180,4 @@ def test_a_mistake_names_the_key_and_writes_nothing(tmp_path, arguments, words):
     message = report(tmp_path, *arguments, code=2).stderr
     assert message.startswith("error: ")
     assert all(word in message for word in words)
-    assert [path.name for path in tmp_path.iterdir()] == ["full"]
+    assert names_in(tmp_path) == ["full"]

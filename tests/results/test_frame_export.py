@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from support.runs import copy_of, read_text, smoke_config
+from support.runs import copy_of, names_in, read_text, smoke_config
 from support.store_factory import Look, make_store
 
 from parking_exp.config.cell_labels import decode_setting, encode_setting
@@ -154,7 +154,7 @@ def test_the_same_results_give_the_same_bytes_and_replace_an_earlier_export(stor
     assert json.loads((written / "report.json").read_text())["problems"] == ["a"]
     write_export(stored, written)
     assert {path.name: path.read_bytes() for path in written.iterdir()} == before
-    assert [path.name for path in written.parent.iterdir()] == ["her"]
+    assert names_in(written.parent) == ["her"]
 
 
 def test_no_file_of_an_export_names_a_place_on_the_machine(stored, written):
@@ -172,7 +172,7 @@ def test_a_folder_with_other_files_is_refused_and_left_alone(stored, tmp_path):
         ConfigError, match=r"it holds other files, e\.g\. notes\.txt; name a folder of its own"
     ):
         write_export(stored, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+    assert names_in(tmp_path) == ["notes.txt"]
     with pytest.raises(ConfigError, match="a file is in the way"):
         write_export(stored, tmp_path / "notes.txt")
 

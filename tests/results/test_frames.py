@@ -283,11 +283,10 @@ def test_an_experiment_that_is_unknown_or_has_no_runs_is_refused(ablation, outpu
 
 
 def test_a_real_run_is_loaded_as_it_was_trained(smoke):
-    directory, _, output_dir = smoke
-    results = load("smoke", output_dir=output_dir)
-    log = MetricsLog(directory.path / "metrics.jsonl")
+    results = load("smoke", output_dir=smoke.output_dir)
+    log = MetricsLog(smoke.path / "metrics.jsonl")
     latest = log.latest()
-    run = row(results.runs, directory)
+    run = row(results.runs, smoke)
     assert (run["status"], run["steps"], run["config.total_timesteps"]) == ("done", 400, 400)
     for key, name in {**frames.FINAL, **frames.COST}.items():
         assert run[name] == latest[key] if key in latest else np.isnan(run[name])
@@ -298,9 +297,7 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
             assert results.curves[name].tolist() == evaluations[key].tolist()
     assert results.curves["failure_rate"].isna().all()  # of other tasks
     stored = results.episodes.drop(columns="run_id")
-    pd.testing.assert_frame_equal(
-        stored, pd.read_csv(directory.path / "episodes.csv").astype(EPISODES)
-    )
+    pd.testing.assert_frame_equal(stored, pd.read_csv(smoke.path / "episodes.csv").astype(EPISODES))
     assert results.problems == ()
 
 

@@ -3,6 +3,7 @@
 import os
 
 import pytest
+from support.runs import names_in
 from support.tracked_runs import finished_run
 
 from parking_exp.config.paths import default_uri
@@ -130,7 +131,7 @@ def test_the_next_write_removes_what_a_killed_process_left_and_nothing_else(tmp_
     assert len([*tmp_path.glob(".tmp-*")]) == 1
     (tmp_path / ".tmp-otherhost-1-rates.json").touch()
     write_json(tmp_path / "rates.json", {})
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
+    assert names_in(tmp_path) == [
         ".tmp-otherhost-1-rates.json",
         "rates.json",
     ]

@@ -75,7 +75,7 @@ def test_a_link_to_an_own_run_is_that_run(trained, tmp_path):
 
 def test_runs_without_own_classes_are_not_recorded(smoke, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    record_training(smoke[0].path, smoke[0].config())
+    record_training(smoke.path, smoke.config())
     assert list(tmp_path.iterdir()) == []
 
 

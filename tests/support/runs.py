@@ -214,6 +214,11 @@ def assert_store_is_whole(output_dir, total_timesteps):
     return local
 
 
+def names_in(folder):
+    """Names of the entries of a folder, sorted."""
+    return sorted(path.name for path in folder.iterdir())
+
+
 def read_text(path):
     """Content of a file of an export, unpacked."""
     content = path.read_bytes()

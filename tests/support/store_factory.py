@@ -6,7 +6,7 @@ gets them by `sync_run`.
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache
@@ -63,15 +63,16 @@ class Look(Run):
 
 
 def make_store(
-    output_dir: Path,
-    experiment: str,
-    cells: Mapping[str, Sequence[str] | RunConfig],
-    seeds: Iterable[int] = range(2),
-    look: Callable[[str, int], Look] = lambda label, seed: Look(),
+    output_dir,
+    experiment,
+    cells,
+    seeds=range(2),
+    look=lambda label, seed: Look(),
     *,
-    uri: str | None = None,
-) -> dict[tuple[str, int], RunDirectory]:
-    """Make the runs of an experiment, and the store that has them.
+    uri=None,
+):
+    """Make the runs of an experiment, and the store that has them; return the run directories by
+    label and seed.
 
     Args:
         output_dir: where run directories go.
@@ -102,7 +103,7 @@ def make_store(
     return runs
 
 
-def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.DataFrame:
+def made_episodes(look, success, scenes, seed):
     """Return a table of episodes in which rates are as asked for; which scenes fail depends on the
     seed.
     """
@@ -126,7 +127,7 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
     return table
 
 
-def _evaluated(config: RunConfig, look: Look) -> list[tuple[int, float]]:
+def _evaluated(config, look):
     """Return (step, success rate) of the evaluations that a run has made."""
     total = config.total_timesteps
     rates = look.curve
@@ -137,14 +138,12 @@ def _evaluated(config: RunConfig, look: Look) -> list[tuple[int, float]]:
     return points if look.status == "done" else points[: math.floor(len(points) * look.progress)]
 
 
-def _content(
-    config: RunConfig, look: Look
-) -> tuple[list[dict[str, Any]], list[tuple[str, int, pd.DataFrame]]]:
+def _content(config, look):
     """Return the lines of metrics, and (phase, step, episodes) of all evaluations."""
     evaluation = config.evaluation
     final_scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
     scenes = final_scenes[: evaluation.n_scenes]
-    rows: list[tuple[int, dict[str, float]]] = []
+    rows = []
     tables = []
     for step, rate in _evaluated(config, look):
         table = made_episodes(look, rate, scenes, config.seed + step)
@@ -170,16 +169,16 @@ def _content(
     return lines, tables
 
 
-def _summary(phase: str, table: pd.DataFrame) -> dict[str, float]:
+def _summary(phase, table):
     return {f"{phase}/{name}": value for name, value in summarise(table, METRICS).items()}
 
 
 @cache
-def _provenance() -> dict[str, str]:
+def _provenance():
     return provenance_tags()  # it asks git
 
 
-def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, uri: str) -> None:
+def _write(directory, config, look, label, uri):
     """Write a run directory."""
     path = directory.path
     lines, tables = _content(config, look)
@@ -208,7 +207,7 @@ def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, u
         (path / "traceback.txt").write_text(f"Traceback (most recent call last):\n{look.error}\n")
 
 
-def _send(directory: RunDirectory, look: Look, store: Store) -> None:
+def _send(directory, look, store):
     """Send a run directory to the store, then give it there what a training would not."""
     with directory.training_lock() if look.status == "running" else nullcontext():
         sync_run(directory, store)

@@ -17,12 +17,17 @@ TINY = (
     "evaluation.video_episodes=1",
     "tracking.mlflow=false",
 )
-SMOKE = ("experiment=smoke", *TINY)
-ENVS = {
+SMOKE = ("train", "experiment=smoke", *TINY)
+PRETRAINED = "run=pretrained"
+COMMANDS = {
     # Six episodes of the cross-check, and the video.
-    "parking, simulated": (SMOKE, 6 + 1),
+    "a training, simulated": (SMOKE, 6 + 1),
     # Two training envs, evaluations of two and six episodes, and the video.
-    "parking on highway-env": ((*SMOKE, "env.simulator=highway_env"), 2 + 2 + 6 + 1),
+    "a training on highway-env": ((*SMOKE, "env.simulator=highway_env"), 2 + 2 + 6 + 1),
+    # Three episodes, and the env of the model.
+    "an evaluation": (("evaluate", PRETRAINED, "episodes=3", "simulator=highway_env"), 3 + 1),
+    # The env of the model.
+    "an export": (("export", PRETRAINED, "format=safetensors"), 1),
 }
 BIT_FLIP = ("env=gymnasium", "env.id=support.toy_tasks:BitFlip-v0", *TINY)
 
@@ -62,10 +67,10 @@ def envs(monkeypatch):
     return envs
 
 
-@pytest.mark.parametrize("kind", ENVS)
-def test_a_training_closes_the_envs_of_its_evaluations_cross_check_and_video(kind, envs, tmp_path):
-    overrides, number = ENVS[kind]
-    call_script("train", *overrides, f"output_dir={tmp_path}", code=0)
+@pytest.mark.parametrize("kind", COMMANDS)
+def test_a_command_closes_the_envs_that_it_makes(kind, envs, tmp_path):
+    command, number = COMMANDS[kind]
+    call_script(*command, f"output_dir={tmp_path}", code=0)
     assert envs.count() == (number, number)
 
 
@@ -74,15 +79,3 @@ def test_a_training_closes_environments_of_gymnasium(envs, tmp_path):
     n_made, n_closed = envs.count()
     assert n_made > 0
     assert n_closed == n_made
-
-
-def test_an_evaluation_closes_its_envs_and_that_of_the_model(envs, tmp_path):
-    arguments = ("run=pretrained", "episodes=3", "simulator=highway_env")
-    call_script("evaluate", *arguments, f"output_dir={tmp_path}", code=0)
-    assert envs.count() == (3 + 1, 3 + 1)
-
-
-def test_an_export_closes_the_env_of_the_model(envs, tmp_path):
-    arguments = ("run=pretrained", "format=safetensors")
-    call_script("export", *arguments, f"output_dir={tmp_path}", code=0)
-    assert envs.count() == (1, 1)

@@ -24,6 +24,7 @@ from support.runs import (
 )
 from support.sweep_processes import wait_until
 from support.user_policies import FunctionPolicy, constant
+from support.vec_env_equality import step_alike
 
 from parking_exp.config.compose import compose_configs
 from parking_exp.errors import VideoError
@@ -205,13 +206,7 @@ def test_training_envs_continue_identically_after_restoring(overrides):
         first.step(action)
     second.reset()
     set_state(second, get_state(first))
-    for action in actions[13:]:
-        (obs, rewards, dones, _), (other_obs, other_rewards, other_dones, _) = (
-            first.step(action),
-            second.step(action),
-        )
-        assert all(np.array_equal(obs[key], other_obs[key]) for key in obs)
-        assert (rewards.tolist(), dones.tolist()) == (other_rewards.tolist(), other_dones.tolist())
+    step_alike(first, second, actions[13:])
     first.close()
     second.close()
 

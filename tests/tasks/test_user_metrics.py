@@ -141,7 +141,7 @@ def test_a_metric_is_part_of_a_runs_key_and_added_to_a_trained_run_by_an_evaluat
     assert "metrics" not in plain.plain()["env"]
 
     path = tmp_path / "smoke" / "cell" / "seed=0"
-    shutil.copytree(smoke[0].path, path)
+    shutil.copytree(smoke.path, path)
     arguments = ("episodes=3", "simulator=highway_env", "tracking.mlflow=false")
     metric = f"env.metrics=[{OWN}.last_speed]"
     done = call_script("evaluate", f"run={path}", metric, *arguments, code=0)

@@ -12,6 +12,7 @@ from support.runs import (
     call_script,
     evaluate_stored,
     make_config,
+    names_in,
     run_script,
     store,
     sync_stored,
@@ -63,19 +64,19 @@ def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_n
     assert synced.stderr == ""
 
 
-def test_files_of_a_run_directory_do_not_name_the_output_directory(smoke):
-    directory, _, output_dir = smoke
+def test_files_of_a_run_directory_do_not_name_the_output_directory(smoke, smoke_folder):
+    output_dir = smoke_folder / "outputs"
     exceptions = {
         "status.json": ("command",),
         "result.json": ("run_dir",),
     }  # `result` replaces the latter
     for name in ("config.yaml", "status.json", "result.json", "provenance.json"):
-        content = yaml.safe_load((directory.path / name).read_text())
+        content = yaml.safe_load((smoke.path / name).read_text())
         rest = {key: value for key, value in content.items() if key not in exceptions.get(name, ())}
         assert str(output_dir) not in json.dumps(rest), name
-    assert read_json(directory.path / "status.json")["tracking_uri"] == "sqlite:///mlflow.db"
-    assert directory.tracking_uri == default_uri(output_dir)
-    assert directory.config().output_path == output_dir
+    assert read_json(smoke.path / "status.json")["tracking_uri"] == "sqlite:///mlflow.db"
+    assert smoke.tracking_uri == default_uri(output_dir)
+    assert smoke.config().output_path == output_dir
 
 
 @pytest.fixture
@@ -96,7 +97,7 @@ def uri_of(server):
 def foreign(smoke, tmp_path):
     """A copy of a finished run directory, alone, as it may come from elsewhere."""
     path = tmp_path / "theirs" / "experiment" / "cell" / "seed=0"
-    shutil.copytree(smoke[0].path, path)
+    shutil.copytree(smoke.path, path)
     return RunDirectory(path)
 
 
@@ -109,7 +110,7 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
     done = call_script("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path, code=0)
     assert f"tracking.uri={uri} sends the results there" in done.stdout
     assert (foreign.path / "evaluations" / "again" / "summary.json").exists()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
+    assert names_in(tmp_path) == ["theirs"]
     done = sync_stored(tmp_path / "theirs")
     assert f"tracking.uri={uri}" in done.stderr
 

@@ -98,23 +98,20 @@ def test_an_identity_is_made_once_and_a_damaged_one_is_refused(tmp_path):
         output_id(tmp_path)
 
 
-def test_a_finished_run_that_is_typed_with_another_store_is_sent_there(smoke, central, tmp_path):
-    shutil.copytree(smoke[2], tmp_path / "outputs")
-    command = ("experiment=smoke", f"output_dir={tmp_path / 'outputs'}", f"tracking.uri={central}")
+def test_a_finished_run_that_is_typed_with_another_store_is_sent_there(smoke_copy, central):
+    command = ("experiment=smoke", f"output_dir={smoke_copy.output_dir}", f"tracking.uri={central}")
     done = call_script("train", *command)
     assert "already done" in done.stdout
-    directory = RunDirectory(tmp_path / "outputs" / smoke[0].path.relative_to(smoke[2]))
-    assert directory.tracking_uri == central
+    assert smoke_copy.tracking_uri == central
     assert [stage for _, stage in stages(central)] == ["active"]
     call_script("train", *command[:2], "seed=0,0", "--dry-run", code=0)
-    assert directory.tracking_uri == central
+    assert smoke_copy.tracking_uri == central
 
 
-def test_a_sweep_sends_its_finished_runs_to_another_store_too(smoke, central, tmp_path):
-    shutil.copytree(smoke[2], tmp_path / "outputs")
+def test_a_sweep_sends_its_finished_runs_to_another_store_too(smoke_copy, central):
     command = (
         "experiment=smoke",
-        f"output_dir={tmp_path / 'outputs'}",
+        f"output_dir={smoke_copy.output_dir}",
         "retry=failed",
         f"tracking.uri={central}",
     )
@@ -122,13 +119,12 @@ def test_a_sweep_sends_its_finished_runs_to_another_store_too(smoke, central, tm
     assert [stage for _, stage in stages(central)] == ["active"]
 
 
-def test_mlflows_variable_is_said_to_be_ignored(smoke, tmp_path, monkeypatch):
+def test_mlflows_variable_is_said_to_be_ignored(smoke_copy, monkeypatch):
     from parking_exp.tracking.client import say_ignored_store
 
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:9")
-    shutil.copytree(smoke[2], tmp_path / "outputs")
     say_ignored_store.cache_clear()
-    synced = sync_stored(tmp_path / "outputs")
+    synced = sync_stored(smoke_copy.output_dir)
     sentence = (
         "MLFLOW_TRACKING_URI is ignored; tracking.uri=URI chooses a store other than output_dir's"
     )

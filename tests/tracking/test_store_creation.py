@@ -11,7 +11,7 @@ import time
 from contextlib import closing
 
 import pytest
-from support.runs import ROOT, run_code, store, sync_stored
+from support.runs import ROOT, names_in, run_code, store, sync_stored
 from support.sync_processes import sync
 from support.tracked_runs import finished_run
 
@@ -204,7 +204,7 @@ def test_a_disk_that_is_full_while_a_store_is_made_leaves_no_store_under_its_nam
             connect(default_uri(tmp_path))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert [path.name for path in tmp_path.iterdir()] == [".mlflow.db.lock"]
+    assert names_in(tmp_path) == [".mlflow.db.lock"]
 
 
 def test_a_database_of_another_program_stays_where_it_is(tmp_path):

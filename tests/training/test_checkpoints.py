@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from support.models import make_model
+from support.runs import names_in
 
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
@@ -98,12 +99,12 @@ def test_keep_last_limits_the_checkpoints_on_disk_by_step(tmp_path, model):
     (tmp_path / ".tmp-step=0000000005").mkdir()  # of a process that was killed
     for step in (10, 900, 1000, 100_000):
         save(tmp_path, model, step, keep_last=2)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
+    assert names_in(tmp_path) == [
         "step=0000001000",
         "step=0000100000",
     ]
     assert checkpoints.latest(tmp_path).name == "step=0000100000"
-    assert sorted(path.name for path in checkpoints.latest(tmp_path).iterdir()) == [
+    assert names_in(checkpoints.latest(tmp_path)) == [
         "manifest.json", "metrics.jsonl", "model.zip", "replay_buffer.npz", "state.pt",
     ]  # fmt: skip
 
@@ -123,7 +124,7 @@ def test_a_damaged_checkpoint_is_skipped_and_deleted_with_the_next_save(
         (newer / name).write_bytes(content if damage == "changed" else content[: len(content) // 2])
     assert checkpoints.latest(tmp_path) == older
     assert save(tmp_path, model, 15, keep_last=1) == checkpoints.latest(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["step=0000000015"]
+    assert names_in(tmp_path) == ["step=0000000015"]
 
 
 @pytest.mark.parametrize("written", range(5))

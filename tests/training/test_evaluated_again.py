@@ -33,19 +33,18 @@ def trained(empty, tmp_path_factory):
 
 @pytest.fixture
 def finished(trained, tmp_path):
-    """A copy of the run with the first settings: (its directory, its output directory)."""
-    output_dir = tmp_path / "outputs"
-    shutil.copytree(trained / "first", output_dir)
-    return only_run(output_dir), output_dir
+    """The run with the first settings, in a copy of its output directory."""
+    return only_run(shutil.copytree(trained / "first", tmp_path / "outputs"))
 
 
-def config(output_dir, *overrides):
-    return make_config(*SMOKE, *overrides, f"output_dir={output_dir}")
+def train_again(directory, *overrides):
+    """Train a finished run with other settings."""
+    return train(make_config(*SMOKE, *overrides, f"output_dir={directory.output_dir}"))
 
 
-def final_runs(output_dir):
-    """Number of episodes and final return of the runs that the store shows."""
-    runs = store(output_dir).search_runs(["1"])
+def final_runs(directory):
+    """Number of episodes and final return of the runs that the store of a run shows."""
+    runs = store(directory.output_dir).search_runs(["1"])
     return [
         (run.data.params["evaluation.final_n_scenes"], run.data.metrics["final/return_mean"])
         for run in runs
@@ -53,30 +52,28 @@ def final_runs(output_dir):
 
 
 def test_it_ends_as_a_run_that_had_these_settings_from_the_start(finished, trained):
-    directory, output_dir = finished
-    assert (directory.path / "video.mp4").exists()
-    result = train(config(output_dir, *OTHER))
+    assert (finished.path / "video.mp4").exists()
+    result = train_again(finished, *OTHER)
     reference = only_run(trained / "other")
-    assert differences(directory.path, reference.path) == []
+    assert differences(finished.path, reference.path) == []
     assert result.metrics["final/return_mean"] == reference.result().metrics["final/return_mean"]
-    assert not (directory.path / "video.mp4").exists()
-    assert directory.config().evaluation == reference.config().evaluation
-    assert final_runs(output_dir) == [("7", result.metrics["final/return_mean"])]
-    assert directory.run_id == result.run_id
+    assert not (finished.path / "video.mp4").exists()
+    assert finished.config().evaluation == reference.config().evaluation
+    assert final_runs(finished) == [("7", result.metrics["final/return_mean"])]
+    assert finished.run_id == result.run_id
 
 
 def test_settings_without_effect_evaluate_nothing(finished, capsys):
-    directory, output_dir = finished
-    n_scenes = directory.config().evaluation.final_n_scenes  # all of which are cross-checked
-    before = (directory.path / "episodes.csv").stat().st_mtime_ns
+    n_scenes = finished.config().evaluation.final_n_scenes  # all of which are cross-checked
+    before = (finished.path / "episodes.csv").stat().st_mtime_ns
     for setting in (
         "checkpoint.keep_last=5",
         f"evaluation.n_certified_scenes={n_scenes}",
         f"evaluation.n_certified_scenes={n_scenes + 1}",
     ):
-        train(config(output_dir, setting))
+        train_again(finished, setting)
         assert capsys.readouterr().out.startswith("already done; ")
-    assert (directory.path / "episodes.csv").stat().st_mtime_ns == before
+    assert (finished.path / "episodes.csv").stat().st_mtime_ns == before
 
 
 def killed_before_it_is_reopened(directory):
@@ -100,11 +97,10 @@ def killed_in_the_final_evaluation(directory):
     [killed_before_it_is_reopened, killed_when_it_was_reopened, killed_in_the_final_evaluation],
 )
 def test_after_a_kill_the_same_command_ends_in_the_same_state(finished, trained, kill):
-    directory, output_dir = finished
-    kill(directory)
-    result = train(config(output_dir, *OTHER))
-    assert differences(directory.path, only_run(trained / "other").path) == []
-    assert final_runs(output_dir) == [("7", result.metrics["final/return_mean"])]
+    kill(finished)
+    result = train_again(finished, *OTHER)
+    assert differences(finished.path, only_run(trained / "other").path) == []
+    assert final_runs(finished) == [("7", result.metrics["final/return_mean"])]
 
 
 def delete_checkpoint(directory):
@@ -123,23 +119,22 @@ def damage_checkpoint(directory):
     ],
 )
 def test_without_its_last_checkpoint_its_results_are_kept(finished, damage, problem):
-    directory, output_dir = finished
-    damage(directory)
-    files = [directory.path / name for name in ("episodes.csv", "config.yaml")]
+    damage(finished)
+    files = [finished.path / name for name in ("episodes.csv", "config.yaml")]
     before = [file.read_bytes() for file in files]
     for arguments in ((), ("retry=failed",)):  # a single run, and a sweep
-        command = ("train", *SMOKE, *OTHER, f"output_dir={output_dir}")
+        command = ("train", *SMOKE, *OTHER, f"output_dir={finished.output_dir}")
         done = call_script(*command, *arguments, code=0)
         assert (
-            f"it can't be evaluated again with other settings, since {problem}{directory.path}"
+            f"it can't be evaluated again with other settings, since {problem}{finished.path}"
             in done.stdout
         )
         assert (
-            f"`python scripts/evaluate.py run={directory.path}` evaluates its final model"
+            f"`python scripts/evaluate.py run={finished.path}` evaluates its final model"
             in done.stdout
         )
     assert [file.read_bytes() for file in files] == before
-    assert directory.status == "done"
+    assert finished.status == "done"
 
 
 def test_a_sweep_says_how_many_runs_it_evaluates_again_and_trains_none(tmp_path):

@@ -1,5 +1,6 @@
 """A run from its config to its result, also after a kill or a failure."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -51,17 +52,19 @@ MISSING = (
 )  # the smoke run parks and plans never
 
 
-def test_a_run_prints_its_progress_its_rates_with_intervals_and_its_directories(smoke):
-    directory, process, _ = smoke
+def test_a_run_prints_its_progress_its_rates_with_intervals_and_its_directories(
+    smoke, smoke_folder
+):
+    output, errors = json.loads((smoke_folder / "printed.json").read_text())
     assert re.search(
         r"^success +\d+\.\d%   95 % interval \d+\.\d% to \d+\.\d%   \d of 5$",
-        process.stdout,
+        output,
         re.MULTILINE,
     )
-    assert f"run directory  {directory.path}" in process.stdout
-    assert f"MLflow run     {directory.run_id}" in process.stdout
-    assert "Traceback" not in process.stderr
-    lines = [line for line in process.stderr.splitlines() if line.startswith("train ")]
+    assert f"run directory  {smoke.path}" in output
+    assert f"MLflow run     {smoke.run_id}" in output
+    assert "Traceback" not in errors
+    lines = [line for line in errors.splitlines() if line.startswith("train ")]
     assert 3 <= len(lines) <= 11
     assert re.match(
         r"train  \d+/400 steps  success +\d+%  return +-?\d+\.\d  \d+ steps/s", lines[-1]
@@ -69,44 +72,38 @@ def test_a_run_prints_its_progress_its_rates_with_intervals_and_its_directories(
 
 
 def test_the_store_has_every_metric_of_an_evaluation(smoke):
-    directory, _, output_dir = smoke
-    client = store(output_dir)
+    client = store(smoke.output_dir)
     for metric in METRICS:
         if metric.key in MISSING:
             continue
-        assert [
-            step for step, _ in history(client, directory.run_id, f"eval/{metric.key}")
-        ] == STEPS
-        assert [step for step, _ in history(client, directory.run_id, f"final/{metric.key}")] == [
-            400
-        ]
+        assert [step for step, _ in history(client, smoke.run_id, f"eval/{metric.key}")] == STEPS
+        assert [step for step, _ in history(client, smoke.run_id, f"final/{metric.key}")] == [400]
     for name in ("time/cpu_s", "time/wall_s"):
-        values = [value for _, value in history(client, directory.run_id, name)]
+        values = [value for _, value in history(client, smoke.run_id, name)]
         assert values == sorted(values)
         assert len(values) == 4
-    metrics = client.get_run(directory.run_id).data.metrics
+    metrics = client.get_run(smoke.run_id).data.metrics
     assert {
         "rollout/success_rate",
         "rollout/ep_rew_mean",
         "rollout/ep_len_mean",
         "train/critic_loss",
     } <= set(metrics)
-    final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'")
+    final = pd.read_csv(smoke.path / "episodes.csv").query("phase == 'final'")
     assert metrics["final/distance_m_mean"] == pytest.approx(final["distance_m"].mean())
     assert metrics["final/timeout_rate"] == (final["outcome"] == "timeout").mean()
-    fractions = history(client, directory.run_id, "buffer/real_share")
-    with np.load(checkpoints.latest(directory.checkpoints) / checkpoints.BUFFER) as buffer:
+    fractions = history(client, smoke.run_id, "buffer/real_share")
+    with np.load(checkpoints.latest(smoke.checkpoints) / checkpoints.BUFFER) as buffer:
         real, virtual = buffer["sampled"]
     assert fractions[-1] == (400, pytest.approx(real / (real + virtual)))
     assert all(
         1 / 3 <= fraction < 1 for _, fraction in fractions
     )  # n_sampled_goal=2, and not all have virtual goals
-    assert_store_is_whole(output_dir, 400)
+    assert_store_is_whole(smoke.output_dir, 400)
 
 
 def test_the_store_has_the_resolved_config_and_what_was_run(smoke):
-    directory, _, output_dir = smoke
-    data, config = store(output_dir).get_run(directory.run_id).data, directory.config()
+    data, config = store(smoke.output_dir).get_run(smoke.run_id).data, smoke.config()
     assert data.params == stored_params(config)
     assert data.params["algorithm._target_"] == "parking_exp.algorithms.SAC"
     assert data.params["env.observation.scales"] == "[100.0, 100.0, 5.0, 5.0, 1.0, 1.0]"
@@ -125,9 +122,8 @@ def test_the_store_has_the_resolved_config_and_what_was_run(smoke):
 
 
 def test_the_store_has_all_files_but_the_replay_buffer(smoke):
-    directory, _, output_dir = smoke
-    client = store(output_dir)
-    assert artifacts(client, directory.run_id) == [
+    client = store(smoke.output_dir)
+    assert artifacts(client, smoke.run_id) == [
         "checkpoint/model.zip", "config.yaml", "curves.png", "episodes.csv", "metrics.jsonl",
         "models/best.zip", "models/final.zip", "monitor.csv", "paths.csv.gz", "progress.csv",
         "video.mp4",
@@ -135,16 +131,14 @@ def test_the_store_has_all_files_but_the_replay_buffer(smoke):
 
 
 def test_the_first_final_episodes_have_paths_as_long_as_they_are(smoke):
-    directory = smoke[0]
-    final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'")
-    paths = pd.read_csv(directory.path / "paths.csv.gz")
+    final = pd.read_csv(smoke.path / "episodes.csv").query("phase == 'final'")
+    paths = pd.read_csv(smoke.path / "paths.csv.gz")
     last_steps = paths.groupby("scene")["step"].max()
     assert last_steps.to_dict() == dict(zip(final["scene"], final["steps"], strict=True))
 
 
 def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_env(smoke):
-    directory = smoke[0]
-    table = pd.read_csv(directory.path / "episodes.csv")
+    table = pd.read_csv(smoke.path / "episodes.csv")
     assert list(table.columns) == ["phase", "step", *episode_columns(METRICS)]
     scenes = table.groupby(["phase", "step"])["scene"].agg(list).to_dict()
     during = {("eval", step): [0, 1, 2] for step in STEPS}
@@ -157,18 +151,18 @@ def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_
     pd.testing.assert_frame_equal(
         table.loc["final"], table.loc["certified"].rename({"certified": "final"})
     )
-    config = directory.config()
+    config = smoke.config()
     task = make_task(config.env)
     envs = make_training_envs(task, 1)
     model = build_model(config, task, envs, seed=0, for_training=False)
-    load_weights(directory.models / "final.zip", model)
+    load_weights(smoke.models / "final.zip", model)
     theirs = evaluate_policy(
         GreedyPolicy(model), make_task(config.env), range(5), simulator="highway_env"
     )
     assert table.loc["certified", "return"].tolist() == pytest.approx(
         theirs["return"].tolist(), abs=1e-9
     )
-    metrics = directory.result().metrics
+    metrics = smoke.result().metrics
     of_all = [metric.key for metric in METRICS if metric.key not in MISSING]
     for key in of_all:
         assert metrics[f"certified/{key}"] == metrics[f"final/{key}"]
@@ -224,7 +218,7 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
 
 
 def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
-    path, config = smoke[0].path, smoke[0].config()
+    path, config = smoke.path, smoke.config()
     monitor = load_results(str(path))
     assert set(monitor.columns) >= {"r", "l", "t", "is_success", "crashed"}
     assert monitor["l"].max() == 11  # training_duration of 2 s
@@ -248,28 +242,26 @@ def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     ).all()
 
 
-def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke, tmp_path):
-    shutil.copytree(smoke[2], tmp_path / "outputs")
-    directory = only_run(tmp_path / "outputs")
-    shutil.rmtree(directory.models), (directory.path / "metrics.jsonl").unlink()
-    before = sorted(directory.path.rglob("*"))
-    again = call_script("train", "experiment=smoke", f"output_dir={tmp_path / 'outputs'}", code=0)
+def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke_copy):
+    shutil.rmtree(smoke_copy.models)
+    (smoke_copy.path / "metrics.jsonl").unlink()
+    before = sorted(smoke_copy.path.rglob("*"))
+    again = call_script("train", "experiment=smoke", f"output_dir={smoke_copy.output_dir}", code=0)
     assert again.stdout.startswith("already done")
-    assert sorted(directory.path.rglob("*")) == before
+    assert sorted(smoke_copy.path.rglob("*")) == before
     assert (
-        train(make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}"))
-        == directory.result()
+        train(make_config("experiment=smoke", f"output_dir={smoke_copy.output_dir}"))
+        == smoke_copy.result()
     )
 
 
-def test_the_command_of_a_finished_run_makes_a_lost_store_again(smoke, tmp_path):
-    shutil.copytree(smoke[2], tmp_path / "outputs")
-    (tmp_path / "outputs" / "mlflow.db").unlink()
-    shutil.rmtree(tmp_path / "outputs" / "mlflow-artifacts")
-    config = make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
+def test_the_command_of_a_finished_run_makes_a_lost_store_again(smoke_copy):
+    (smoke_copy.output_dir / "mlflow.db").unlink()
+    shutil.rmtree(smoke_copy.output_dir / "mlflow-artifacts")
+    config = make_config("experiment=smoke", f"output_dir={smoke_copy.output_dir}")
     result = train(config)
-    assert_store_is_whole(tmp_path / "outputs", config.total_timesteps)
-    assert result.run_id == only_run(tmp_path / "outputs").run_id
+    assert_store_is_whole(smoke_copy.output_dir, config.total_timesteps)
+    assert result.run_id == smoke_copy.run_id
 
 
 def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(
