@@ -1,24 +1,18 @@
 """The pages of results and README's rates agree with the exports in docs/results."""
 
 import functools
-import importlib.util
 import re
 import shutil
 
 import pytest
-from support.runs import ROOT
+from support.runs import ROOT, import_script
 
 EXPORTS = ROOT / "docs" / "results"
 
 
 @pytest.fixture(scope="module")
 def script():
-    spec = importlib.util.spec_from_file_location(
-        "results_page", ROOT / "scripts" / "results_page.py"
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return import_script("results_page")
 
 
 def test_page_and_readme_agree_with_the_exports_and_a_changed_rate_is_noticed(

@@ -1,24 +1,17 @@
 """The script that evaluates agents on perturbed tasks."""
 
-import importlib.util
 import sys
-from pathlib import Path
 
 import pytest
+from support.runs import import_script
 
 from parking_exp import compose, load_model
 from parking_exp.algorithms.build_model import GreedyPolicy
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "robustness.py"
-
 
 @pytest.fixture
-def script(monkeypatch):
-    spec = importlib.util.spec_from_file_location("robustness", SCRIPT)
-    script = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "robustness", script)
-    spec.loader.exec_module(script)
-    return script
+def script():
+    return import_script("robustness")
 
 
 @pytest.mark.slow

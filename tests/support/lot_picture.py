@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import pandas as pd
 
-from parking_exp.config.compose import compose_configs
-from parking_exp.config.validate import validate
+from parking_exp.config.compose import compose
 from parking_exp.figure_style import report_style
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M
 from parking_exp.tasks.parking.lot import lot_of
@@ -23,8 +22,8 @@ def draw():
     """Return a figure of all lots: the goal is blue, the car green, parked cars grey."""
     cells = []
     for name in LOTS:
-        (composed,) = compose_configs("config", [f"env={name}", "env.level=normal"])
-        scene = lot_of(validate(composed).env).from_seeds([1])
+        config = compose(f"env={name}", "env.level=normal")
+        scene = lot_of(config.env).from_seeds([1])
         cells.append(
             SimpleNamespace(label=name, drawn=LotDrawing(scene, walls=True, paths=pd.DataFrame()))
         )

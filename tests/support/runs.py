@@ -4,7 +4,7 @@ import contextlib
 import functools
 import gc
 import gzip
-import importlib
+import importlib.util
 import io
 import os
 import shutil
@@ -53,6 +53,16 @@ make_config = compose  # and check the config of one run
 def smoke_config(*overrides):
     """Compose a cell of the smoke experiment, once."""
     return make_config("experiment=smoke", *overrides)
+
+
+def import_script(name):
+    """The module `scripts/NAME.py`."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, name, module)  # where its dataclasses look for themselves
+        spec.loader.exec_module(module)
+    return module
 
 
 def script(name, *arguments, cwd=None, env=None):

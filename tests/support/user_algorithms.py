@@ -73,22 +73,20 @@ class Tells(SAC):
         return self
 
 
-class SavesExtraNetwork(SAC):
-    """Has a network of its own, and names it among what is saved."""
+class ForgetsExtraNetwork(SAC):
+    """Has a network of its own, which is not saved."""
 
     def _setup_model(self):
         super()._setup_model()
         self.curiosity = torch.nn.Linear(3, 3)
+
+
+class SavesExtraNetwork(ForgetsExtraNetwork):
+    """Names its own network among what is saved."""
 
     def _get_torch_save_params(self):
         names, variables = super()._get_torch_save_params()
         return [*names, "curiosity"], variables
-
-
-class ForgetsExtraNetwork(SAC):
-    def _setup_model(self):
-        super()._setup_model()
-        self.curiosity = torch.nn.Linear(3, 3)
 
 
 class SavesNothing(SAC):

@@ -6,6 +6,16 @@ from gymnasium.spaces import Box, Dict
 from parking_exp.tasks.task import Task
 from parking_exp.tasks.vectorized_task import VectorizedTask
 
+OPTION = """\
+# @package _global_
+defaults:
+  - shared/goal_task
+  - _self_
+env:
+  task: {task}
+  name: steps
+  kwargs: {{}}
+"""
 LINE = Box(-9, 9, (1,), np.float64)
 
 
@@ -42,6 +52,13 @@ class Steps(VectorizedTask):
 
     def failed(self, state):
         return state["at"][:, 0] < self.left_edge
+
+
+def write_option(folder, task):
+    """Write the option `env=steps` of a task, and return the folder of options."""
+    (folder / "env").mkdir(parents=True, exist_ok=True)
+    (folder / "env" / "steps.yaml").write_text(OPTION.format(task=task))
+    return folder
 
 
 class FlatReward(Steps):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.runs import call_script, make_config, only_run, refusal
 from support.user_policies import constant
-from support.user_tasks import Steps
+from support.user_tasks import Steps, write_option
 from support.vec_env_equality import step_alike
 
 from parking_exp.config.compose import compose
@@ -18,16 +18,6 @@ from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import get_state, make_training_envs, set_state
 
-OPTION = """\
-# @package _global_
-defaults:
-  - shared/goal_task
-  - _self_
-env:
-  task: support.user_tasks.Steps
-  name: steps
-  kwargs: {}
-"""
 SHORT = (
     "total_timesteps=200",
     "n_envs=4",
@@ -42,10 +32,7 @@ SHORT = (
 
 @pytest.fixture
 def config_dir(tmp_path):
-    folder = tmp_path / "my_conf"
-    (folder / "env").mkdir(parents=True)
-    (folder / "env" / "steps.yaml").write_text(OPTION)
-    return folder
+    return write_option(tmp_path / "my_conf", "support.user_tasks.Steps")
 
 
 def test_episodes_end_at_the_goal_at_a_failure_or_in_time():

@@ -7,16 +7,17 @@ from signal import SIGTERM
 import numpy as np
 import pytest
 from filelock import FileLock
+from support.interruptions import cut_at
 from support.models import model_of
 from support.run_equality import differences
 from support.runs import make_config, only_run
+from support.user_tasks import write_option
 
 from parking_exp.config.compose import compose
-from parking_exp.errors import ConfigError, InterruptedRunError, ModelError
+from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, ModelError
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import demonstrations
-from parking_exp.training.training_session import RolloutCallback
 
 SMOKE = (
     "experiment=smoke",
@@ -122,23 +123,9 @@ def test_the_runs_of_a_cell_share_a_file_and_each_counts_its_cpu_time(tmp_path):
     assert len(list((tmp_path / "demonstrations").glob("*.npz"))) == 1
 
 
-OPTION = """\
-# @package _global_
-defaults:
-  - shared/goal_task
-  - _self_
-env:
-  task: support.user_policies.LongSteps
-  name: steps
-  kwargs: {}
-"""
-
-
 def walked(output_dir, *overrides):
     """A config of a user's task, in which a policy of theirs demonstrates."""
-    folder = output_dir / "my_conf"
-    (folder / "env").mkdir(parents=True, exist_ok=True)
-    (folder / "env" / "steps.yaml").write_text(OPTION)
+    folder = write_option(output_dir / "my_conf", "support.user_policies.LongSteps")
     settings = ("total_timesteps=200", "n_envs=4", "algorithm.learning_starts=100")
     shown = ("buffer.demonstrations=4", "buffer.demonstrator._target_=support.user_policies.Walker")
     output = f"output_dir={output_dir}"
@@ -218,29 +205,16 @@ def test_batches_of_episodes_are_recorded_one_after_the_other(tmp_path, monkeypa
         assert actual.tobytes() == expected.tobytes(), name
 
 
-def test_a_resumed_run_has_them_from_its_checkpoint(tmp_path, monkeypatch):
+def test_a_resumed_run_has_them_from_its_checkpoint(tmp_path):
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
     train(configured(whole))
     shutil.copytree(whole / "demonstrations", pieces / "demonstrations")
-    with monkeypatch.context() as patch:
-        patch.setattr(RolloutCallback, "_on_rollout_start", _stop_at(240))
-        with pytest.raises(InterruptedRunError):
-            train(configured(pieces))
+    with cut_at(240), pytest.raises(FailedRunError):
+        train(configured(pieces))
     shutil.rmtree(pieces / "demonstrations")
     train(configured(pieces))
     assert differences(only_run(whole).path, only_run(pieces).path) == []
     assert not (pieces / "demonstrations").exists()
-
-
-def _stop_at(step):
-    begin = RolloutCallback._on_rollout_start
-
-    def begin_or_stop(callback):
-        begin(callback)
-        if callback.num_timesteps >= step:
-            callback.session.stop.signal_number = SIGTERM
-
-    return begin_or_stop
 
 
 def test_they_are_part_of_the_run_key():

@@ -3,13 +3,13 @@
 import os
 import random
 import signal
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from support.interruptions import InterruptionError, cut, cut_at
 from support.marks import slow_but
 from support.models import model_of
 from support.run_equality import differences, leaves
@@ -86,30 +86,6 @@ KINDS = {
         "+algorithm.policy_kwargs={activation_fn:torch.nn.Tanh,optimizer_class:{_target_:torch.optim.AdamW,_partial_:true}}",
     ),
 }
-
-
-class InterruptionError(BaseException):
-    """Stands for a kill in a run of this process."""
-
-
-@contextmanager
-def cut(owner, name, when):
-    """Raise at the first call of a method or function for whose arguments `when` is true."""
-    original = getattr(owner, name)
-
-    def cutting(*arguments, **keywords):
-        if when(*arguments):
-            raise InterruptionError
-        return original(*arguments, **keywords)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(owner, name, cutting)
-        yield
-
-
-def cut_at(step):
-    """Inside a step: its transition is counted and not stored."""
-    return cut(RolloutCallback, "_on_step", lambda callback: callback.num_timesteps >= step)
 
 
 @cache

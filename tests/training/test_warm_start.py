@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support.interruptions import cut_at
 from support.models import model_of
 from support.run_equality import differences, parameters
 from support.runs import make_config, only_run, refusal, store
@@ -20,7 +21,6 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train
 from parking_exp.training import warm_start
 from parking_exp.training.checkpoints import latest
-from parking_exp.training.training_session import RolloutCallback
 
 SMOKE = (
     "experiment=smoke",
@@ -136,9 +136,7 @@ def test_networks_of_a_pretrained_agent_are_their_own_targets(
     assert torch.equal(critics, new_critics) != has_critics
 
 
-def test_a_resumed_run_equals_an_uninterrupted_one_and_does_without_its_source(
-    source, tmp_path, monkeypatch
-):
+def test_a_resumed_run_equals_an_uninterrupted_one_and_does_without_its_source(source, tmp_path):
     overrides = (
         f"init='{source.path}'",
         "init_buffer=true",
@@ -149,17 +147,9 @@ def test_a_resumed_run_equals_an_uninterrupted_one_and_does_without_its_source(
     shutil.copytree(source.output_dir, copied)
     whole = RunDirectory(Path(train(configured(source.output_dir, *overrides)).run_dir))
 
-    step = RolloutCallback._on_step
-
-    def killed(callback):
-        if callback.num_timesteps > 130:
-            raise MemoryError
-        return step(callback)
-
     copied_source = only_run(copied)
     overrides = (f"init='{copied_source.path}'", *overrides[1:])
-    with monkeypatch.context() as patch, pytest.raises(FailedRunError):
-        patch.setattr(RolloutCallback, "_on_step", killed)
+    with cut_at(131), pytest.raises(FailedRunError):
         train(configured(copied, *overrides, WITHOUT_STORE))
     shutil.rmtree(copied_source.path)
     resumed = train(configured(copied, *overrides, WITHOUT_STORE))
