@@ -4,11 +4,10 @@ import io
 import json
 import os
 import signal
-import subprocess
 import time
 
 import pytest
-from support.runs import call_script, refusal, run_script, script
+from support.runs import call_script, refusal, run_script
 from support.sweep_processes import (
     QUICK,
     SLOW,
@@ -207,11 +206,8 @@ def test_the_configs_of_queued_runs_are_frozen(tmp_path):
         "# @package _global_\ndefaults: [smoke]\nexperiment_name: mine\nalgorithm: {gamma: 0.9}\n"
     )
     file.write_text(text)
-    command, keywords = script(
-        "train", "--config-dir", str(tmp_path / "mine"), "experiment=mine", *QUICK[1:], "seeds=2",
-        "hydra.launcher.n_jobs=1", f"output_dir={tmp_path / 'outputs'}",
-    )  # fmt: skip
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    own = (f"--config-dir={tmp_path / 'mine'}", "experiment=mine", *QUICK[1:])
+    process = begin(tmp_path / "outputs", "seeds=2", "hydra.launcher.n_jobs=1", options=own)
     wait_until(lambda: "running" in stages(tmp_path / "outputs"))
     file.write_text(text.replace("0.9", "0.8"))
     _, errors = process.communicate(timeout=120)

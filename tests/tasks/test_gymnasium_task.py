@@ -6,7 +6,6 @@ import json
 import os
 import re
 import signal
-import subprocess
 
 import numpy as np
 import pandas as pd
@@ -20,9 +19,8 @@ from support.runs import (
     only_run,
     options,
     run_script,
-    script,
 )
-from support.sweep_processes import wait_until
+from support.sweep_processes import begin, wait_until
 from support.user_policies import FunctionPolicy, constant
 from support.vec_env_equality import step_alike
 
@@ -272,24 +270,16 @@ def test_ctrl_c_reaches_the_processes_of_envs_too_and_the_run_resumes(tmp_path):
         "evaluation.final_n_scenes=5",
         "evaluation.video_episodes=0",
         "tracking.mlflow=false",
-        f"output_dir={tmp_path}",
     ]
-    command, keywords = script("train", *arguments)
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-        **keywords,
-    )
+    process = begin(tmp_path, *arguments, options=())
     wait_until(lambda: process.poll() is not None or any(step > 200 for step in steps_of(tmp_path)))
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    output, _ = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=60)
     directory = only_run(tmp_path)
-    assert directory.read_status()["status"] == "interrupted", output
+    assert directory.read_status()["status"] == "interrupted", errors
     assert len(list(directory.checkpoints.glob("step=*"))) == 1
     assert process.returncode == 130
-    run_script("train", *arguments, code=0)
+    run_script("train", *arguments, f"output_dir={tmp_path}", code=0)
     assert only_run(tmp_path).result().steps == 2000
 
 

@@ -1,13 +1,12 @@
 """Runs of a policy that is not trained: from the command to the result, killed, evaluated again."""
 
 import json
-import subprocess
 from importlib.metadata import version
 
 import pandas as pd
 import pytest
-from support.runs import call_script, make_config, only_run, refusal, script, store
-from support.sweep_processes import wait_until
+from support.runs import call_script, make_config, only_run, refusal, store
+from support.sweep_processes import begin, wait_until
 
 from parking_exp import load_model
 from parking_exp.config.rules import update_ratio_warning
@@ -56,10 +55,7 @@ def test_a_run_of_the_planner_has_its_episodes_its_metrics_and_no_env_steps(plan
 
 
 def test_a_run_that_is_killed_while_it_plans_ends_as_if_it_had_not_been(planned, tmp_path):
-    command, options = script("train", *PLANNER, f"output_dir={tmp_path}")
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **options
-    )
+    process = begin(tmp_path, options=PLANNER)
 
     def is_evaluating():
         beats = list(tmp_path.glob("*/*/seed=*/beat.json"))

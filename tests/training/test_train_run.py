@@ -25,7 +25,7 @@ from support.runs import (
     store,
     stored_params,
 )
-from support.sweep_processes import FAILING, wait_until
+from support.sweep_processes import begin, wait_until
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from parking_exp import __version__
@@ -269,13 +269,11 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(
 ):
     arguments = (
         "experiment=smoke",
-        f"output_dir={output_dir}",
         "checkpoint.every_n_steps=50",
         "evaluation.video_episodes=0",
         "algorithm._target_=support.user_algorithms.Lingers",  # slow enough to be killed on the way
     )
-    command, keywords = script("train", *arguments, env=FAILING)
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    process = begin(output_dir, *arguments, options=())
     wait_until(lambda: len(list(output_dir.glob("*/*/*/checkpoints/step=*"))) == 2)
     time.sleep(0.5)  # into the steps after a checkpoint
     process.kill()
@@ -284,7 +282,7 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(
     killed_at, run_id = checkpoints.latest(directory.checkpoints).name, directory.run_id
     assert directory.status == "running"
     monkeypatch.setattr("support.user_algorithms.Lingers.pause_s", 0)
-    done = call_script("train", *arguments, code=0)
+    done = call_script("train", *arguments, f"output_dir={output_dir}", code=0)
     assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr
     assert (directory.run_id, directory.status) == (run_id, "done")
     local = assert_store_is_whole(output_dir, 400)
