@@ -239,8 +239,8 @@ def test_an_env_that_renders_gives_a_video_and_others_a_reason():
 def test_without_egl_and_osmesa_there_is_a_reason_and_no_video(monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setenv("PYOPENGL_PLATFORM", "none")
-    monkeypatch.setattr(gymnasium_task.sys, "executable", "false")
     task = make_task(make_config("env=fetch_reach").env)
+    monkeypatch.setattr(gymnasium_task.sys, "executable", "false")
     with pytest.raises(VideoError, match="EGL or OSMesa"):
         next(task.frames(constant(*[0.0] * 4), [0]))
 
