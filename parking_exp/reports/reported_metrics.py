@@ -23,7 +23,7 @@ class ReportedMetric(NamedTuple):
 
 
 OF_EVERY_TASK = ("success", "timeout", "episode_steps")
-"""Names of metrics that a report has also where they are not known."""
+"""Names of metrics that a report has even where they are unknown."""
 OWN = [
     ReportedMetric(
         name=metric.name if metric.is_rate else metric.run_column,
@@ -39,7 +39,7 @@ OWN = [
 def reported_metrics(names: Iterable[str]) -> list[ReportedMetric]:
     """Return the metrics of this package, then those of users among some columns or names.
 
-    Of a user's metric, the store has the key alone, which is its name and its column.
+    A user's metric is stored by its key alone, which serves as its name and its column.
     """
     metrics = [*OWN]
     for key in added_metrics(names):

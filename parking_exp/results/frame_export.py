@@ -155,9 +155,11 @@ def _read_runs(path: Path) -> pd.DataFrame:
     for name in settings:
         texts = runs[name].astype(object).where(runs[name].notna(), None)
         runs[name] = config_column(texts)
-    # Exports have neither places nor metrics that only other tasks have.
-    left_out = ["run_dir", "artifact_uri", *FINAL.values()]
-    runs = runs.reindex(columns=runs.columns.union(left_out, sort=False))
+    # The copy is in one piece, after so many columns were replaced.
+    runs = runs.copy().assign(run_dir=None, artifact_uri=None)
+    # Exports have no metrics that only other tasks have.
+    missing = [name for name in FINAL.values() if name not in runs]
+    runs = runs.reindex(columns=[*runs.columns, *missing])
     columns = RUN_TYPES | dict.fromkeys(added_metrics(runs.columns), "float64")
     return runs[[*columns, *versions, *settings]].astype(columns)
 

@@ -109,6 +109,14 @@ def test_flags_may_be_anywhere_between_the_overrides(words, expected):
     assert (given.config_dir, given.multirun, overrides) == expected
 
 
+def test_a_closed_pipe_ends_the_output_without_a_traceback():
+    command, keywords = script("train", "--help")
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait(60) == 1
+
+
 @pytest.mark.parametrize("name", ["status", "export"])
 def test_commands_without_seeds_say_so(name):
     sentence = "seeds: there is no such key; leave it out, this command takes no seeds"

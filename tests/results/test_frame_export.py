@@ -227,6 +227,12 @@ def test_rows_of_runs_that_an_export_does_not_have_are_left_out(written):
     )
 
 
+def test_places_that_the_export_of_someone_else_names_are_not_read(written):
+    runs = pd.read_csv(written / "runs.csv.gz", dtype=str)
+    runs.assign(run_dir="/etc", artifact_uri="/etc").to_csv(written / "runs.csv.gz", index=False)
+    assert read_export(written).runs[["run_dir", "artifact_uri"]].isna().all(axis=None)
+
+
 LABELS = ["0.10", "1e-3", "True", "None", "nan", "2024_11", '"quoted"', "her /no noise", "a/b /c d"]
 
 

@@ -99,6 +99,7 @@ def test_no_more_is_read_than_a_file_can_have(tmp_path, limit, name):
             read_config(tmp_path, tmp_path)
 
 
+@pytest.mark.slow
 def test_files_of_any_size_have_a_hash(tmp_path):
     """The replay buffer of a checkpoint grows with the number of env steps."""
     path = tmp_path / "replay_buffer.npz"

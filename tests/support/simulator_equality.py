@@ -49,7 +49,7 @@ def differences(config, kind, n_scenes, policy=None):
     """Return what differs in whole episodes of the first scenes, with one kind of actions."""
     act = actions_of(kind, np.random.default_rng(1), (n_scenes, 2), policy)
     n_steps, different = compare(config, range(n_scenes), act)
-    assert n_steps > 2 * n_scenes
+    assert n_steps > 3 * n_scenes
     return different
 
 
