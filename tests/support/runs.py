@@ -121,7 +121,7 @@ def refusal(name, *arguments, cwd=None):
     only have said which run it looked at.
     """
     done = call_script(name, *arguments, cwd=cwd, code=2)
-    assert all(line.startswith("run=") for line in done.stdout.splitlines())
+    assert all(line.startswith(("run=", "run directory")) for line in done.stdout.splitlines())
     (line,) = done.stderr.splitlines()
     assert line.startswith("error: ")
     return line.removeprefix("error: ")
