@@ -120,7 +120,7 @@ def seeds(report: ReportData) -> Iterator[Table]:
     rows = []
     for cell in report.cells:
         for seed in cell.seeds:
-            rows.append(cell_record(cell) | record(seed))
+            rows.append(cell_record(cell) | record(seed) | record(seed.metrics))
     yield Table(
         "seeds",
         rows,
@@ -336,7 +336,8 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
         row["seeds"] = cell.success.n
         for stage, n_runs in cell.counts.items():
             row[f"runs_{stage}"] = n_runs
-        rows.append(row | record(cell, without=("id", "label", "drawn")))
+        numbers = record(cell, without=("id", "label", "drawn"))
+        rows.append(row | numbers | record(cell.metrics))
     return rows
 
 

@@ -38,7 +38,7 @@ def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dic
     """Return the fields of a dataclass, or entries of a mapping, as columns of a row.
 
     An interval becomes NAME, NAME_low and NAME_high; another dataclass one column for each field,
-    NAME_FIELD; metrics a column each. Lists and other mappings are left out.
+    NAME_FIELD. Lists and mappings are left out.
     """
     row: dict[str, Any] = {}
     entries = item if isinstance(item, Mapping) else vars(item)
@@ -49,8 +49,6 @@ def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dic
             row |= spread(prefix + name, value)
         elif is_dataclass(value):
             row |= record(value, f"{prefix}{name}_")
-        elif name == "metrics":
-            row |= record(value)
         elif isinstance(value, str | int | float | None):
             row[prefix + name] = value
     return row
