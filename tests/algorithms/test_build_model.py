@@ -5,10 +5,11 @@ import torch
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from support.marks import slow_but
 from support.models import make_model
-from support.runs import ROOT, make_config, options, run_code
+from support.runs import ROOT, options, run_code
 
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.buffers import HerBuffer
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
@@ -32,7 +33,7 @@ def test_every_buffer_binds_to_its_constructor(buffer, simulator):
     if buffer == "replay":
         assert (made.goal_selection_strategy, made.n_sampled_goal) == (None, 0)
     else:
-        arguments = make_config(*SMALL, f"buffer={buffer}").buffer.arguments
+        arguments = compose(*SMALL, f"buffer={buffer}").buffer.arguments
         assert made.goal_selection_strategy == buffer.removeprefix("her_")
         for name in ("n_sampled_goal", "relabel_collision", "relabel_terminated", "goal_velocity"):
             assert getattr(made, name) == arguments[name]
@@ -101,7 +102,7 @@ def test_classes_among_the_policys_arguments_are_dotted_paths_or_targets(algorit
 
 def test_what_the_library_refuses_is_a_config_error():
     """Here what our own check of the config would have refused before."""
-    config = make_config(*SMALL)
+    config = compose(*SMALL)
     algorithm = config.algorithm.model_copy(
         update={"policy_kwargs": {"optimizer_kwargs": {"betas": [2, 2]}}}
     )
@@ -114,7 +115,7 @@ def test_what_the_library_refuses_is_a_config_error():
 
 def test_a_runs_threads_and_precision_hold_while_it_runs():
     before = torch.get_num_threads(), torch.get_float32_matmul_precision()
-    with torch_settings(make_config("torch_threads=2", "precision=medium")):
+    with torch_settings(compose("torch_threads=2", "precision=medium")):
         assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == (2, "medium")
     assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == before
 
@@ -125,11 +126,10 @@ def test_a_model_is_made_saved_and_trained_without_torchs_compiler():
     code = """
 import sys, tempfile
 from pathlib import Path
-from support.runs import make_config
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-config = make_config("experiment=smoke")
+config = compose("experiment=smoke")
 task = make_task(config.env)
 model = build_model(config, task, make_training_envs(task, 2), seed=0).learn(100)
 model.save(Path(tempfile.mkdtemp()) / "model.zip")

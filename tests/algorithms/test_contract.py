@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from support.models import make_model, model_of
 from support.run_equality import exact, parameters
-from support.runs import make_config, options
+from support.runs import options
 
 from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.algorithms.policy_ema import PolicyEMA
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints, rollout_state
 
@@ -40,7 +41,7 @@ def state(model, directory):
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp_path):
     """Parameters, target networks, optimizers, coefficients and actions."""
-    config, best = make_config(*SMOKE, *ALGORITHMS[algorithm]), tmp_path / "best.zip"
+    config, best = compose(*SMOKE, *ALGORITHMS[algorithm]), tmp_path / "best.zip"
     model, other = model_of(config).learn(60), model_of(config, seed=1)
     assert model._n_updates > 0
     average = PolicyEMA(model, None)

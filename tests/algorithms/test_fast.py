@@ -13,17 +13,17 @@ from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from support import models
 from support.marks import slow_but
-from support.runs import make_config
 
 from parking_exp.algorithms import fast
 from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.buffers import HerBuffer
+from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 
-REWARD = ParkingReward.of(make_config().env)
+REWARD = ParkingReward.of(compose().env)
 ALGORITHMS = ("SAC", "TD3", "DDPG")
 
 
@@ -188,7 +188,7 @@ class OtherExtractor(CombinedExtractor):
     ],
 )
 def test_unsupported_models_are_trained_by_stable_baselines3(arguments):
-    env = make_training_envs(make_task(make_config().env), 2)
+    env = make_training_envs(make_task(compose().env), 2)
     shared = {"policy": "MultiInputPolicy", "env": env, "seed": 0, "buffer_size": 10}
     her = {"replay_buffer_class": HerBuffer, "replay_buffer_kwargs": {"reward": REWARD}}
     assert is_supported(fast.SAC(**shared, **her))

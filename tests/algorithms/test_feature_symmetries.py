@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from support.runs import make_config
 
+from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.features import (
     EgoFrameExtractor,
     FineEgoFrameExtractor,
@@ -153,7 +153,7 @@ def outlines(slots, turns):
     ],
 )
 def test_features_know_the_size_and_the_symmetries_of_the_lot(overrides, turned, handed):
-    config = make_config(*overrides).env
+    config = compose(*overrides).env
     lot = lot_of(config)
     (slots,) = lot.from_seeds([0]).slots
     factor, summand = TURN

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from support.runs import make_config
 
+from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor
 from parking_exp.tasks.parking.highway import make_env
 
@@ -23,7 +23,7 @@ def observed(x, y, heading, speed=0):
 
 def features(car, goal, make=EgoFrameExtractor):
     """Features for (x, y, heading, speed) of the car and the same of the goal."""
-    space = make_env(make_config().env).observation_space
+    space = make_env(compose().env).observation_space
     entries = {"observation": observed(*car), "achieved_goal": observed(*car)}
     return make(space)(entries | {"desired_goal": observed(*goal)})[0].tolist()
 

@@ -5,10 +5,10 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 from support.marks import slow_but
 from support.reach import CHANCE, Reach, success_rate
-from support.runs import make_config
 
 from parking_exp.algorithms.build_model import GreedyPolicy, build_model
 from parking_exp.algorithms.fast.fast_training import is_supported
+from parking_exp.config.compose import compose
 from parking_exp.tasks.registry import make_task
 
 # The bound and four standard deviations of a rate over 200 episodes: 1 %.
@@ -21,7 +21,7 @@ AS_SB3 = (
 
 
 def untrained(algorithm, *overrides):
-    config = make_config(
+    config = compose(
         "experiment=smoke",
         f"algorithm={algorithm}",
         "algorithm.features=raw",

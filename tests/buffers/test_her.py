@@ -10,16 +10,16 @@ from scipy import stats
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.buffers import DictReplayBuffer
 from support.marks import slow_but
-from support.runs import make_config
 
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.her import NO_GOALS
 from parking_exp.buffers.strategies import STRATEGIES
+from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
-ENV = make_config().env
-REWARD, SPARSE = ParkingReward.of(ENV), ParkingReward.of(make_config("env=parking_sparse").env)
+ENV = compose().env
+REWARD, SPARSE = ParkingReward.of(ENV), ParkingReward.of(compose("env=parking_sparse").env)
 GOALS = spaces.Box(-np.inf, np.inf, (6,), np.float64)
 SPACES = (
     spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), GOALS)),

@@ -10,9 +10,10 @@ import sys
 
 import pytest
 from support.marks import slow_but
-from support.runs import make_config, only_run, script
+from support.runs import only_run, script
 from support.sweep_processes import QUICK, SLOW, begin, stages, wait_until
 
+from parking_exp.config.compose import compose
 from parking_exp.sweeps.single_run import train
 from parking_exp.training.signals import stop_on_signal
 
@@ -77,7 +78,7 @@ class BrokenPipe:
 
 
 def test_a_training_that_python_calls_survives_lost_output(tmp_path, monkeypatch):
-    config = make_config(*QUICK, "tracking.stdout=true", f"output_dir={tmp_path}")
+    config = compose(*QUICK, "tracking.stdout=true", f"output_dir={tmp_path}")
     for name in ("stdout", "stderr"):
         monkeypatch.setattr(sys, name, BrokenPipe())
     assert train(config).steps == 60

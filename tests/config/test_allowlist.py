@@ -8,9 +8,10 @@ import sys
 
 import pytest
 from omegaconf import OmegaConf
-from support.runs import ROOT, evaluate_stored, make_config
+from support.runs import ROOT, evaluate_stored
 
 from parking_exp.config.allowlist import ALLOWED, check_trust
+from parking_exp.config.compose import compose
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import UntrustedError
 from parking_exp.runs.run_files import read_config
@@ -176,7 +177,7 @@ def test_every_class_on_the_list_exists_under_that_name():
     ],
 )
 def test_unlisted_targets_are_refused_in_nested_containers(tmp_path, target):
-    config = make_config()
+    config = compose()
     nested = [("a", {"_target_": target})]
     extra = {**config.algorithm.arguments, "policy_kwargs": {"optimizer_kwargs": {"betas": nested}}}
     foreign = config.model_copy(update={"algorithm": config.algorithm.model_copy(update=extra)})

@@ -10,7 +10,7 @@ import pytest
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
-from support.runs import GROUPS, config_refusal, make_config, options
+from support.runs import GROUPS, config_refusal, options
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.compose import compose, compose_configs, compose_runs
@@ -99,7 +99,7 @@ def test_an_invalid_override_is_refused_in_one_sentence(override, named):
 @pytest.mark.parametrize("override", ["seed=???", "seed=${seed}", "output_dir=${oc.env:NOT_SET}"])
 def test_missing_values_and_broken_interpolations_name_their_key(override):
     with pytest.raises(ConfigError, match=rf"^{override.partition('=')[0]}[^\n]+$"):
-        make_config(override)
+        compose(override)
 
 
 @pytest.mark.parametrize(
@@ -163,11 +163,11 @@ def test_an_experiment_file_may_be_anywhere(tmp_path):
         "n_envs: 2\n"
     )
     line = f"experiment={path}"
-    config = make_config(line, "n_envs=4")
+    config = compose(line, "n_envs=4")
     assert (config.experiment_name, config.algorithm.name, config.n_envs) == ("own", "sac", 4)
     path.write_text("n_envs: [")
     with pytest.raises(ConfigError, match=r"own=1.yaml"):
-        make_config(line)
+        compose(line)
 
 
 def test_a_cell_that_two_blocks_write_in_different_ways_is_one_cell(tmp_path):

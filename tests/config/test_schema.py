@@ -6,11 +6,12 @@ from typing import get_args
 
 import pytest
 from highway_env.envs.parking_env import ParkingEnv
-from support.runs import make_config, options
+from support.runs import options
 
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.argument_limits import HER_OPTIONS
+from parking_exp.config.compose import compose
 from parking_exp.config.rules import update_ratio_warning
 from parking_exp.config.run_key import changes_results
 from parking_exp.config_model import GoalStrategy
@@ -18,7 +19,7 @@ from parking_exp.errors import ConfigError
 
 
 def test_parking_has_highway_envs_own_options_and_values():
-    ours = make_config("env=parking").env.highway_options()
+    ours = compose("env=parking").env.highway_options()
     theirs = ParkingEnv.default_config()
     extra = {"longitudinal": True, "lateral": True, "dynamical": False, "clip": True}
     assert (theirs.pop("controlled_vehicles"), theirs.pop("manual_control")) == (
@@ -30,7 +31,7 @@ def test_parking_has_highway_envs_own_options_and_values():
 
 
 def test_training_keys_change_training_envs_only():
-    env = make_config("env.training_duration=2", "env.training_success_goal_reward=0.05").env
+    env = compose("env.training_duration=2", "env.training_success_goal_reward=0.05").env
     own = env.highway_options()
     assert (own["duration"], own["success_goal_reward"]) == (100, 0.12)
     assert env.for_training().highway_options() == own | {
@@ -38,7 +39,7 @@ def test_training_keys_change_training_envs_only():
         "success_goal_reward": 0.05,
     }
     same = ("env.training_duration=null", "env.training_success_goal_reward=null", "n_envs=8")
-    assert make_config(*same).env.for_training().highway_options() == own
+    assert compose(*same).env.for_training().highway_options() == own
 
 
 @pytest.mark.parametrize(
@@ -51,7 +52,7 @@ def test_training_keys_change_training_envs_only():
     ],
 )
 def test_longest_episode_counts_time_as_highway_env_does(option, steps):
-    assert make_config(f"env={option}").env.episode_steps() == steps
+    assert compose(f"env={option}").env.episode_steps() == steps
 
 
 @pytest.mark.parametrize(
@@ -59,9 +60,7 @@ def test_longest_episode_counts_time_as_highway_env_does(option, steps):
     [(1.0, 8, (1, 8)), (0.125, 8, (1, 1)), (0.125, 1, (8, 1)), (0.3, 1, (10, 3))],
 )
 def test_update_rounds_keep_updates_per_step_for_any_n_envs(updates_per_step, n_envs, expected):
-    config = make_config().model_copy(
-        update={"updates_per_step": updates_per_step, "n_envs": n_envs}
-    )
+    config = compose().model_copy(update={"updates_per_step": updates_per_step, "n_envs": n_envs})
     assert config.update_rounds() == expected
 
 
@@ -82,7 +81,7 @@ def test_update_rounds_keep_updates_per_step_for_any_n_envs(updates_per_step, n_
     ],
 )
 def test_train_freq_and_gradient_steps_can_be_set_by_hand(overrides, rounds):
-    assert make_config(*overrides).update_rounds() == rounds
+    assert compose(*overrides).update_rounds() == rounds
 
 
 @pytest.mark.parametrize(
@@ -113,7 +112,7 @@ def test_train_freq_and_gradient_steps_can_be_set_by_hand(overrides, rounds):
 )
 def test_rounds_of_another_ratio_than_the_one_asked_for_are_refused(overrides, ratio):
     with pytest.raises(ConfigError, match=rf"^[^\n]*{re.escape(ratio)}[^\n]*$"):
-        make_config(*overrides)
+        compose(*overrides)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +128,7 @@ def test_rounds_of_another_ratio_than_the_one_asked_for_are_refused(overrides, r
     ],
 )
 def test_a_ratio_far_from_what_the_number_of_envs_suggests_is_warned_of(overrides, warning):
-    text = update_ratio_warning(make_config(*overrides))
+    text = update_ratio_warning(compose(*overrides))
     assert text is None if warning is None else re.search(warning, text)
 
 
@@ -140,7 +139,7 @@ def test_envs_few_has_the_values_of_the_measured_cell_and_composes_with_other_op
         ("budget=small",),
         ("experiment=features", "seeds=null", "algorithm.features=ego"),
     ):
-        config = make_config("envs=few", *other)
+        config = compose("envs=few", *other)
         values = (config.n_envs, config.updates_per_step, config.total_timesteps)
         assert values == (8, 1, 9200)
         assert config.algorithm.arguments["learning_starts"] == 1000
@@ -148,14 +147,14 @@ def test_envs_few_has_the_values_of_the_measured_cell_and_composes_with_other_op
 
 @pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg"])
 def test_the_tiny_budget_has_a_recipe_for_parking_that_the_command_line_overrides(algorithm):
-    config = make_config("budget=tiny", f"algorithm={algorithm}")
+    config = compose("budget=tiny", f"algorithm={algorithm}")
     assert (config.total_timesteps, config.n_envs, config.algorithm.arguments["tau"]) == (
         43_000,
         128,
         0.14,
     )
     assert update_ratio_warning(config) is None
-    changed = make_config(
+    changed = compose(
         "budget=tiny", f"algorithm={algorithm}", "algorithm.tau=0.01", "total_timesteps=50000"
     )
     assert (changed.total_timesteps, changed.n_envs, changed.algorithm.arguments["tau"]) == (
@@ -177,14 +176,14 @@ def test_the_tiny_budget_has_a_recipe_for_parking_that_the_command_line_override
     ],
 )
 def test_the_tiny_budget_keeps_the_hyperparameters_of_other_tasks_and_algorithms(other):
-    plain, tiny = make_config(*other), make_config("budget=tiny", *other)
+    plain, tiny = compose(*other), compose("budget=tiny", *other)
     assert tiny.total_timesteps == 64_000
     assert (tiny.algorithm, tiny.n_envs) == (plain.algorithm, plain.n_envs)
 
 
 @pytest.mark.parametrize("n_envs", [1, 2, 8, 256])
 def test_the_rounds_of_every_ratio_that_is_accepted_are_exact(n_envs):
-    default = make_config()
+    default = compose()
     for ratio in (0.001, 0.0015, 0.03125, 0.1, 0.3, 1 / 3, 0.7, 1, 2.5, 20):
         config = default.model_copy(update={"updates_per_step": ratio, "n_envs": n_envs})
         train_freq, gradient_steps = config.update_rounds()
@@ -192,7 +191,7 @@ def test_the_rounds_of_every_ratio_that_is_accepted_are_exact(n_envs):
 
 
 def test_the_cell_is_the_config_without_its_seed():
-    first, second = (make_config(f"seed={seed}", "env=parking_stop_crowded") for seed in (1, 2))
+    first, second = (compose(f"seed={seed}", "env=parking_stop_crowded") for seed in (1, 2))
     assert (
         first.cell_name
         == second.cell_name
@@ -225,7 +224,7 @@ def test_the_cell_is_the_config_without_its_seed():
     ],
 )
 def test_the_run_key_changes_with_what_can_change_results(override, changes):
-    assert (make_config(override).run_key != make_config().run_key) is changes
+    assert (compose(override).run_key != compose().run_key) is changes
     assert changes_results(override.lstrip("+").partition("=")[0]) is changes
 
 
@@ -233,7 +232,7 @@ def test_the_run_key_changes_with_what_can_change_results(override, changes):
     "override", ["evaluation.final_n_scenes=600", "evaluation.n_certified_scenes=3"]
 )
 def test_the_final_evaluation_is_not_part_of_the_run_key(override):
-    assert make_config(override).run_key == make_config().run_key
+    assert compose(override).run_key == compose().run_key
 
 
 def test_strategies_and_their_options_have_one_name_everywhere():

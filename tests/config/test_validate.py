@@ -7,10 +7,9 @@ import sys
 
 import pytest
 from omegaconf import OmegaConf
-from support.runs import make_config
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS
-from parking_exp.config.compose import compose_configs
+from parking_exp.config.compose import compose, compose_configs
 from parking_exp.config.constructor_arguments import SET_BY_RUN
 from parking_exp.config.validate import validate, validate_all
 from parking_exp.dotted_paths import import_object
@@ -29,7 +28,7 @@ POLICY = "algorithm.policy_kwargs"
 def changed(values, *options):
     """The plain config of some options, with the values of keys changed."""
     if options not in DEFAULT_OPTIONS:
-        DEFAULT_OPTIONS[options] = make_config(*options).plain()
+        DEFAULT_OPTIONS[options] = compose(*options).plain()
     plain = copy.deepcopy(DEFAULT_OPTIONS[options])
     for key, value in values.items():
         *path, name = key.split(".")

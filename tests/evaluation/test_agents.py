@@ -8,10 +8,10 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load, save
 from support import models
-from support.runs import make_config
 
 from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.algorithms.policy_files import export_safetensors, load_policy
+from parking_exp.config.compose import compose
 from parking_exp.errors import ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
 from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model
@@ -94,7 +94,7 @@ def test_their_configs_are_those_of_the_recipes():
     for name, overrides in recipes.items():
         config, recipe = (
             find_agent(f"pretrained/{name}", PRETRAINED_DIR).config,
-            make_config(*overrides),
+            compose(*overrides),
         )
         for part in (
             "env",

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from support.runs import make_config
 from support.user_policies import FunctionPolicy, constant
 
 from parking_exp import load_model
 from parking_exp.algorithms.build_model import GreedyPolicy
+from parking_exp.config.compose import compose
 from parking_exp.evaluation.evaluate_policy import (
     describe,
     evaluate_policy,
@@ -27,7 +27,7 @@ from parking_exp.tasks.registry import make_task
 
 
 def test_one_row_per_scene_in_the_order_asked_for():
-    env = make_config("env.duration=2").env
+    env = compose("env.duration=2").env
     scenes = [5, 3, 40, 0, *range(100, 140)]  # more than run side by side
     table = evaluate_policy(constant(0.0, 0.0), make_task(env), scenes)
     assert list(table.columns) == episode_columns(METRICS)
@@ -37,7 +37,7 @@ def test_one_row_per_scene_in_the_order_asked_for():
 
 
 def test_rows_are_what_a_plain_loop_sees():
-    env_config = make_config("env.duration=6").env
+    env_config = compose("env.duration=6").env
     env = make_env(env_config)
     env.reset(seed=1)
     total, steps, done = 0.0, 0, False
@@ -68,7 +68,7 @@ def test_the_driven_path_and_changes_of_gear_are_measured(simulator):
     def ahead_and_back(observation):
         return np.tile([next(actions), 0.0], (len(observation["observation"]), 1))
 
-    task = make_task(make_config("env.duration=2.9").env)
+    task = make_task(compose("env.duration=2.9").env)
     (row,) = evaluate_policy(ahead_and_back, task, [1], simulator=simulator).to_dict("records")
     task.close()
     assert row["steps"] == 15
@@ -83,7 +83,7 @@ def test_the_driven_path_and_changes_of_gear_are_measured(simulator):
 
 def test_a_trained_agent_drives_further_than_the_shortest_path():
     policy = GreedyPolicy(load_model("pretrained/parked"))
-    env = make_config("env=parking_stop").env
+    env = compose("env=parking_stop").env
     table = evaluate_policy(policy, make_task(env), range(20))
     assert (table["outcome"] == "success").all()
     assert table["park_s"].tolist() == pytest.approx((table["steps"] / 5).tolist())

@@ -3,10 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
-from support.runs import make_config
 from support.user_policies import constant
 from support.user_tasks import Steps
 
+from parking_exp.config.compose import compose
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.tasks.parking.highway import make_env
@@ -33,7 +33,7 @@ def driven(env_config, seed):
 
 @pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
 def test_a_path_has_the_pose_at_the_start_and_after_each_step_until_the_crash(simulator):
-    env_config = make_config("env.duration=10").env
+    env_config = compose("env.duration=10").env
     task = make_task(env_config)
     paths = PathRecorder(task, [7, 2])
     episodes = evaluate_policy(turn, task, [1, 2, 3, 7], simulator=simulator, paths=paths)
@@ -51,7 +51,7 @@ def test_a_path_has_the_pose_at_the_start_and_after_each_step_until_the_crash(si
 
 
 def test_equal_paths_are_equal_files_in_millimetres(tmp_path):
-    task = make_task(make_config("env.duration=1").env)
+    task = make_task(compose("env.duration=1").env)
     for name in ("first", "second"):
         paths = PathRecorder(task, [0])
         evaluate_policy(turn, task, [0], paths=paths)

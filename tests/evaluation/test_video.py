@@ -2,10 +2,10 @@
 
 import imageio.v3 as iio
 import numpy as np
-from support.runs import make_config
 from support.toy_tasks import BITS, BitFlip
 from support.user_policies import Flipper
 
+from parking_exp.config.compose import compose
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.evaluation.video import record_video
 from parking_exp.tasks.registry import make_task
@@ -15,7 +15,7 @@ LAST_FRAMES = 4  # a second
 
 
 def drawn_task():
-    return make_task(make_config("env=gymnasium", "env.id=support.toy_tasks:Drawn-v0").env)
+    return make_task(compose("env=gymnasium", "env.id=support.toy_tasks:Drawn-v0").env)
 
 
 def goal(seed):

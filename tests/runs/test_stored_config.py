@@ -1,22 +1,22 @@
 """Stored configs are read back as they were, or refused with the key that is wrong."""
 
 import pytest
-from support.runs import make_config
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.runs.directory import RunDirectory
 
 
 @pytest.fixture
 def directory(tmp_path):
-    config = make_config("experiment=smoke", f"output_dir={tmp_path}")
+    config = compose("experiment=smoke", f"output_dir={tmp_path}")
     directory = RunDirectory(config.run_dir)
     directory.write_config(config)
     return directory
 
 
 def test_a_stored_config_is_read_back_as_it_was(directory, tmp_path):
-    assert directory.config() == make_config("experiment=smoke", f"output_dir={tmp_path}")
+    assert directory.config() == compose("experiment=smoke", f"output_dir={tmp_path}")
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,11 @@ import os
 import shutil
 
 import pytest
-from support.runs import ROOT, call_script, evaluate_stored, make_config, only_run, run_script
+from support.runs import ROOT, call_script, evaluate_stored, only_run, run_script
 from support.sweep_processes import QUICK
 
 from parking_exp import load_model
+from parking_exp.config.compose import compose
 from parking_exp.errors import UntrustedError
 from parking_exp.runs.trained_here import record_training, was_trained_here
 from parking_exp.sweeps.single_run import train
@@ -25,7 +26,7 @@ REFUSAL = (
 def trained(tmp_path_factory):
     """The output directory of a run with a class of the user's own."""
     output_dir = tmp_path_factory.mktemp("trained") / "outputs"
-    train(make_config(*OWN, f"output_dir={output_dir}"))
+    train(compose(*OWN, f"output_dir={output_dir}"))
     return output_dir
 
 

@@ -3,14 +3,14 @@
 from stable_baselines3.common.logger import Logger
 
 from parking_exp.algorithms.build_model import build_model
+from parking_exp.config.compose import compose
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-from support.runs import make_config
 
 
 def make_model(*overrides, seed=0, **keywords):
     """The model of a config, in envs of its own."""
-    return model_of(make_config(*overrides), seed, **keywords)
+    return model_of(compose(*overrides), seed, **keywords)
 
 
 def model_of(config, seed=0, **keywords):

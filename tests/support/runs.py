@@ -46,13 +46,10 @@ def parking_envs():
     return [option for option in options("env") if option.startswith("parking")]
 
 
-make_config = compose  # and check the config of one run
-
-
 @functools.cache
 def smoke_config(*overrides):
     """Compose a cell of the smoke experiment, once."""
-    return make_config("experiment=smoke", *overrides)
+    return compose("experiment=smoke", *overrides)
 
 
 def import_script(name):
@@ -130,7 +127,7 @@ def refusal(name, *arguments, cwd=None):
 def config_refusal(*overrides):
     """The sentence with which the config of a run is refused."""
     with pytest.raises(ConfigError) as refused:
-        make_config(*overrides)
+        compose(*overrides)
     sentence = str(refused.value)
     assert "\n" not in sentence
     return sentence

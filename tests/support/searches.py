@@ -2,10 +2,10 @@
 
 import yaml
 
+from parking_exp.config.compose import compose
 from parking_exp.config.validate import check
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.search_config import SearchConfig
-from support.runs import make_config
 
 SETTINGS = {
     "name": "test",
@@ -34,7 +34,7 @@ def settings(**changes):
 def base(tmp_path, *overrides):
     """The config that trials change."""
     options = ("experiment=smoke", "experiment_name=test", f"output_dir={tmp_path}")
-    return make_config(*options, *overrides)
+    return compose(*options, *overrides)
 
 
 def user_search(folder, overrides=(), **changes):

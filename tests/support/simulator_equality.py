@@ -4,12 +4,12 @@ compared.
 
 import numpy as np
 
+from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.geometry import SLOT_HEADINGS, SLOT_POSITIONS
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
-from support.runs import make_config
 
 TOLERANCE = 1e-9
 KINDS = ("random", "biased", "gentle", "trained")
@@ -99,7 +99,7 @@ def repeat(config, scenes, starts, records):
 def different_scenes(seeds, vehicles):
     """Seeds whose scenes are not what highway-env makes of them."""
     different = []
-    env = make_env(make_config(f"env.vehicles_count={vehicles}").env).unwrapped
+    env = make_env(compose(f"env.vehicles_count={vehicles}").env).unwrapped
     scenes = Scenes.from_seeds(seeds, (vehicles, vehicles))
     for row, seed in enumerate(seeds):
         env.reset(seed=seed)

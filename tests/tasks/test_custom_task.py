@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from support.runs import call_script, make_config, only_run, refusal
+from support.runs import call_script, only_run, refusal
 from support.user_policies import constant
 from support.user_tasks import Steps, write_option
 from support.vec_env_equality import step_alike
@@ -129,7 +129,7 @@ def test_a_class_that_is_no_task_is_refused_in_a_sentence(name, argument, reason
 @pytest.mark.parametrize("task", ["chess", "3", "a.", ".a", "a b.c", "null"])
 def test_what_names_no_task_is_refused(task):
     with pytest.raises(ConfigError, match=r"^env\.task: it is neither 'parking', 'gymnasium' nor"):
-        make_config(f"++env.task={task}")
+        compose(f"++env.task={task}")
 
 
 def test_a_run_is_trained_evaluated_and_read(config_dir, output_dir):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from shapely import box
-from support.runs import make_config
 from support.shapes import polygon
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking import goal_starts
 from parking_exp.tasks.parking.free_space import FreeSpace
@@ -42,7 +42,7 @@ def shapes_of(scenes, row):
 
 @pytest.mark.parametrize("overrides", LOTS)
 def test_contacts_are_those_of_the_shapes(overrides):
-    scenes = lot_of(make_config(*overrides).env).from_seeds(range(20))
+    scenes = lot_of(compose(*overrides).env).from_seeds(range(20))
     rng = np.random.default_rng(0)
     around_goals = scenes.goal_pose[:, None] + rng.normal(0, [3, 3, 1], (20, 50, 3))
     touching = touches(scenes, around_goals, walls=True)
@@ -56,7 +56,7 @@ def test_contacts_are_those_of_the_shapes(overrides):
 
 
 def test_a_margin_is_kept_on_all_sides():
-    env = make_config("env=parking_parallel", "env.lot.slot_length_m=7").env
+    env = compose("env=parking_parallel", "env.lot.slot_length_m=7").env
     scenes = lot_of(env).from_seeds([0])
     at_goal = scenes.goal_pose[:, None]  # 2 m from the cars before and behind, 1 m from the wall
     assert not touches(scenes, at_goal, walls=False, margin_m=1.99).any()
@@ -80,7 +80,7 @@ def test_an_arc_is_what_the_car_drives(steering):
 
 @pytest.mark.parametrize("overrides", LOTS)
 def test_half_of_the_scenes_start_on_a_free_way_out_of_the_goal(overrides):
-    env = make_config(*overrides, "env.starts=mixed").env
+    env = compose(*overrides, "env.starts=mixed").env
     starts = GoalStarts(env)
     scenes = starts.from_seeds(range(200))
     usual = lot_of(env).from_seeds(range(200))
@@ -101,7 +101,7 @@ def test_half_of_the_scenes_start_on_a_free_way_out_of_the_goal(overrides):
 @pytest.mark.parametrize("lot", ["parking_angled", "parking_parallel"])
 def test_nothing_is_touched_between_the_points_of_an_arc(lot, monkeypatch):
     """Each arc that is driven is looked at again at 801 points."""
-    env = make_config(f"env={lot}", "env.level=normal", "env.starts=goal").env
+    env = compose(f"env={lot}", "env.level=normal", "env.starts=goal").env
     arcs = []
 
     def recorded(pose, slip, driven):
@@ -122,7 +122,7 @@ def test_nothing_is_touched_between_the_points_of_an_arc(lot, monkeypatch):
 
 def test_the_first_arc_is_the_one_that_is_drawn():
     """One arc: in reverse, straight on, a quarter of 8 m, out of an empty bay."""
-    env = make_config("env=parking", "env.starts=goal").env
+    env = compose("env=parking", "env.starts=goal").env
     usual = lot_of(env).from_seeds([0])
     draws = np.zeros((1, N_DRAWS))
     draws[0, 3:5] = 0.5, 0.25
@@ -133,24 +133,24 @@ def test_the_first_arc_is_the_one_that_is_drawn():
 
 
 def test_training_starts_there_and_an_evaluation_does_not():
-    env = make_config("env=parking_parallel", "env.starts=goal").env
+    env = compose("env=parking_parallel", "env.starts=goal").env
     envs = ParkingVecEnv(env, 8)
     envs.seed(5)
     envs.reset()
     expected = GoalStarts(env).from_seeds(range(5, 13)).start
     assert np.array_equal(envs.batch.state.position.T, expected[:, :2])
-    usual = make_config("env=parking_parallel").env
+    usual = compose("env=parking_parallel").env
     assert np.array_equal(lot_of(env).from_seeds([0]).start, lot_of(usual).from_seeds([0]).start)
 
 
 def test_starts_out_of_the_goal_need_the_vectorized_simulator():
     with pytest.raises(ConfigError, match=r"env\.starts=goal needs env\.simulator=vectorized"):
-        make_config("env.starts=goal", "env.simulator=highway_env")
+        compose("env.starts=goal", "env.simulator=highway_env")
 
 
 @pytest.mark.parametrize("name", ["speed_range", "acceleration_range"])
 def test_starts_out_of_the_goal_need_both_directions(name):
     message = rf"^env\.starts=mixed: env\.action\.{name} has to allow both directions, as the way"
     with pytest.raises(ConfigError, match=message):
-        make_config("env=parking_parallel", "env.starts=mixed", f"env.action.{name}=[0,5]")
-    make_config("env=parking_parallel", "env.starts=mixed", "env.action.speed_range=[-1,5]")
+        compose("env=parking_parallel", "env.starts=mixed", f"env.action.{name}=[0,5]")
+    compose("env=parking_parallel", "env.starts=mixed", "env.action.speed_range=[-1,5]")

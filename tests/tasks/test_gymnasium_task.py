@@ -12,19 +12,12 @@ import pandas as pd
 import pytest
 from support.marks import slow_but
 from support.models import model_of
-from support.runs import (
-    call_script,
-    config_refusal,
-    make_config,
-    only_run,
-    options,
-    run_script,
-)
+from support.runs import call_script, config_refusal, only_run, options, run_script
 from support.sweep_processes import begin, wait_until
 from support.user_policies import FunctionPolicy, constant
 from support.vec_env_equality import step_alike
 
-from parking_exp.config.compose import compose_configs
+from parking_exp.config.compose import compose, compose_configs
 from parking_exp.errors import VideoError
 from parking_exp.evaluation import evaluate_run
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
@@ -39,7 +32,7 @@ GYMNASIUM = ("env=gymnasium", "algorithm.learning_starts=400")
 
 
 def config(env_id, *overrides):
-    return make_config(*GYMNASIUM, f"env.id={env_id}", *overrides)
+    return compose(*GYMNASIUM, f"env.id={env_id}", *overrides)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +144,7 @@ def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_the
     )
     assert reward.terminates
     fetch, maze = (
-        GymnasiumReward(make_config(f"env={env}").env) for env in ("fetch_reach", "point_maze")
+        GymnasiumReward(compose(f"env={env}").env) for env in ("fetch_reach", "point_maze")
     )
     assert (fetch.terminates, maze.terminates) == (False, True)
     goal = np.zeros((1, 3))
@@ -194,7 +187,7 @@ HIGHWAY = ("env=parking_sparse", "env.simulator=highway_env", "env.training_dura
 @pytest.mark.parametrize("overrides", slow_but([SYNC, HIGHWAY], [SYNC, ASYNC, HIGHWAY]))
 def test_training_envs_continue_identically_after_restoring(overrides):
     """In the middle of an episode; the next episodes are the same, too."""
-    task = make_task(make_config(*overrides, "n_envs=2", "algorithm.learning_starts=1000").env)
+    task = make_task(compose(*overrides, "n_envs=2", "algorithm.learning_starts=1000").env)
     first, second = make_training_envs(task, 2), make_training_envs(task, 2)
     first.seed(0)
     first.reset()
@@ -239,7 +232,7 @@ def test_an_env_that_renders_gives_a_video_and_others_a_reason():
 def test_without_egl_and_osmesa_there_is_a_reason_and_no_video(monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setenv("PYOPENGL_PLATFORM", "none")
-    task = make_task(make_config("env=fetch_reach").env)
+    task = make_task(compose("env=fetch_reach").env)
     monkeypatch.setattr(gymnasium_task.sys, "executable", "false")
     with pytest.raises(VideoError, match="EGL or OSMesa"):
         next(task.frames(constant(*[0.0] * 4), [0]))

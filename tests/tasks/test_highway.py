@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from support.runs import make_config, parking_envs
+from support.runs import parking_envs
 
+from parking_exp.config.compose import compose
 from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 
@@ -13,7 +14,7 @@ MAX_STEPS = 60
 
 @pytest.mark.parametrize("option", parking_envs())
 def test_what_the_cross_check_leaves_out_changes_no_bit_of_a_step(option):
-    config = make_config(f"env={option}").env
+    config = compose(f"env={option}").env
     batch = HighwayBatch(config, SCENES)
     plain = EnvBatch([make_env(config) for _ in SCENES], SCENES, "crashed")
     rng = np.random.default_rng(0)

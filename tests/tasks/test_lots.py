@@ -6,11 +6,12 @@ import pandas as pd
 import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import TD3, HerReplayBuffer
-from support.runs import config_refusal, make_config
+from support.runs import config_refusal
 from support.simulator_equality import KINDS, differences
 
 import parking_exp.envs
 from parking_exp.algorithms.build_model import GreedyPolicy
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.highway import make_env
@@ -27,7 +28,7 @@ VARIANTS = [(lot, level) for lot in (*LOTS, "parking_lots") for level in LEVELS]
 
 
 def env_config(lot, *overrides):
-    return make_config(f"env={lot}", *[f"env.{override}" for override in overrides]).env
+    return compose(f"env={lot}", *[f"env.{override}" for override in overrides]).env
 
 
 @pytest.mark.parametrize(("lot", "level"), VARIANTS)
@@ -360,7 +361,7 @@ def test_standing_reward_is_refused_on_highway_envs_own_lot():
     with pytest.raises(ConfigError, match=r"such as env=parking_parallel$"):
         env_config("parking", "standing_reward=-0.3")
     with pytest.raises(ConfigError, match=r"env.standing_reward=-0.3: highway-env's own lot"):
-        make_config("env=parking", "++env.standing_reward=-0.3")
+        compose("env=parking", "++env.standing_reward=-0.3")
 
 
 def test_training_tells_her_the_size_of_the_slot():

@@ -13,8 +13,8 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.kinematics import Vehicle
-from support.runs import make_config
 
+from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.features import (
     EgoFrameExtractor,
     FineEgoFrameExtractor,
@@ -35,7 +35,7 @@ def env_config(vehicles, seen, *overrides):
         f"env.observation.vehicles_count={seen}",
         *overrides,
     ]
-    return make_config(*options).env
+    return compose(*options).env
 
 
 def test_obstacles_are_random_places_in_the_aisle_by_the_documented_rule():

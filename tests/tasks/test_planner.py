@@ -5,9 +5,10 @@ import importlib.util
 import numpy as np
 import pytest
 import shapely
-from support.runs import config_refusal, make_config
+from support.runs import config_refusal
 from support.shapes import polygon
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy, find_differences
 from parking_exp.tasks.parking.lot import lot_of
@@ -21,7 +22,7 @@ LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end"
 
 
 def make_planner(*overrides, seed=0, **arguments):
-    return Planner(make_task(make_config(*overrides).env), seed, **arguments)
+    return Planner(make_task(compose(*overrides).env), seed, **arguments)
 
 
 def cars(path):
@@ -150,7 +151,7 @@ def test_mistakes_are_refused_with_a_sentence(overrides, message):
 
 
 def test_another_task_is_refused_with_a_sentence():
-    env = make_config("env=fetch_reach").env
+    env = compose("env=fetch_reach").env
     assert list(Planner.problems(env)) == [
         "the planner drives in parking tasks only; env=fetch_reach is another task"
     ]
@@ -163,4 +164,4 @@ def test_without_ompl_the_message_names_the_extra(monkeypatch):
         lambda name: None if name == "ompl" else find_spec(name),
     )
     with pytest.raises(ConfigError, match=r"^the planner needs ompl; pip install 'parking-exp\[pl"):
-        make_config("algorithm=planner")
+        compose("algorithm=planner")

@@ -7,9 +7,9 @@ import pytest
 import shapely
 from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.objects import Obstacle
-from support.runs import make_config
 from support.shapes import polygon
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking.geometry import Rectangles
 from parking_exp.tasks.parking.parking_task import ParkingTask
@@ -116,7 +116,7 @@ def test_the_wrapper_shows_vehicles_walls_and_obstacles_of_a_users_own_env():
 
 
 def test_training_envs_show_the_car_then_vehicles_then_rays():
-    config = make_config(
+    config = compose(
         "env.vehicles_count=10",
         "env.observation.vehicles_count=2",
         "env.observation.rays=8",
@@ -133,15 +133,15 @@ def test_training_envs_show_the_car_then_vehicles_then_rays():
 
 
 def test_without_rays_a_config_is_stored_as_it_was_before_there_were_any():
-    observation = make_config("env.observation.rays=0").plain()["env"]["observation"]
+    observation = compose("env.observation.rays=0").plain()["env"]["observation"]
     assert {*observation} == {"type", "features", "scales", "normalize", "vehicles_count"}
 
 
 def test_rays_are_stored_and_part_of_a_runs_key():
     configs = [
-        make_config(),
-        make_config("env.observation.rays=8"),
-        make_config("env.observation.rays=8", "env.observation.rays_range_m=20"),
+        compose(),
+        compose("env.observation.rays=8"),
+        compose("env.observation.rays=8", "env.observation.rays_range_m=20"),
     ]
     assert len({config.run_key for config in configs}) == 3
     observation = configs[2].plain()["env"]["observation"]
@@ -155,4 +155,4 @@ def test_rays_are_stored_and_part_of_a_runs_key():
 @pytest.mark.parametrize("override", ["rays=-1", "rays=361", "rays_range_m=0", "rays_range_m=1001"])
 def test_a_wrong_number_or_range_is_refused(override):
     with pytest.raises(ConfigError, match=f"^env.observation.{override}"):
-        make_config(f"env.observation.{override}")
+        compose(f"env.observation.{override}")

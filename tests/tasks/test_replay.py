@@ -9,9 +9,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.runs import make_config
 from support.user_policies import FunctionPolicy
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import VideoError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.tasks.parking.episode_recording import MOTION, record_episodes
@@ -53,7 +53,7 @@ def wander(observation):
 
 @cache
 def crowded_env():
-    return make_config(*CROWDED).env
+    return compose(*CROWDED).env
 
 
 def start(seeds):
@@ -124,7 +124,7 @@ def test_outcomes_and_steps_are_those_of_an_evaluation():
 def test_shapes_of_a_scene_are_those_of_highway_env(overrides):
     from highway_env.vehicle.objects import Landmark, Obstacle
 
-    config = make_config(*overrides).env
+    config = compose(*overrides).env
     scenes = lot_of(config).from_seeds(SEEDS)
     env = make_env(config)
     for row, seed in enumerate(SEEDS):
@@ -146,7 +146,7 @@ def test_shapes_of_a_scene_are_those_of_highway_env(overrides):
 
 
 def test_an_env_without_walls_and_obstacles_shows_none():
-    scenes = lot_of(make_config("env=parking").env).from_seeds([0])
+    scenes = lot_of(compose("env=parking").env).from_seeds([0])
     shapes = scene_shapes(scenes, 0, walls=False)
     for none in (shapes.walls, shapes.obstacles, shapes.parked_cars):
         assert none.shape == (0, 5)
@@ -175,7 +175,7 @@ def test_failures_come_first_and_each_kind_in_the_order_of_its_seeds():
 
 
 def test_rays_are_recorded_in_metres_and_shown_to_a_decimetre():
-    env = make_config(*CROWDED, "env.observation.rays=5", "env.observation.rays_range_m=8").env
+    env = compose(*CROWDED, "env.observation.rays=5", "env.observation.rays_range_m=8").env
     (episode,) = record_episodes(wander, env, [SEEDS[0]])
     simulator = Simulator(env, lot_of(env).from_seeds([SEEDS[0]]))
     np.testing.assert_array_equal(episode.rays[[0]], 8 * simulator.observe()["observation"][:, -5:])
@@ -187,7 +187,7 @@ def test_rays_are_recorded_in_metres_and_shown_to_a_decimetre():
 
 
 def test_200_timeouts_of_cars_that_never_drive_smoothly_fit_into_a_megabyte():
-    env = make_config("env.add_walls=false").env
+    env = compose("env.add_walls=false").env
     rng = np.random.default_rng(0)
 
     @FunctionPolicy
@@ -204,13 +204,13 @@ def test_200_timeouts_of_cars_that_never_drive_smoothly_fit_into_a_megabyte():
 def test_the_page_is_the_same_whatever_simulator_the_env_names():
     pages = []
     for simulator in ("vectorized", "highway_env"):
-        env = make_config(*CROWDED, f"env.simulator={simulator}").env
+        env = compose(*CROWDED, f"env.simulator={simulator}").env
         pages.append(make_task(env).replay_page(wander, SEEDS, "an agent"))
     assert pages == [page()] * 2
 
 
 def test_a_task_without_such_a_page_says_so():
-    task = make_task(make_config("env=gymnasium", "env.id=support.toy_tasks:BitFlip-v0").env)
+    task = make_task(compose("env=gymnasium", "env.id=support.toy_tasks:BitFlip-v0").env)
     with pytest.raises(VideoError, match=r"^no replay: .*BitFlip-v0 has no page that plays"):
         task.replay_page(wander, [0], "bits")
 

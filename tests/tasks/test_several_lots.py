@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gymnasium.utils.seeding import np_random
-from support.runs import call_script, config_refusal, make_config, refusal
+from support.runs import call_script, config_refusal, refusal
 from support.simulator_equality import differences
 
 from parking_exp import compose, train
@@ -23,7 +23,7 @@ NAMES = ("parallel", "bays", "angled", "dead_end")
 
 
 def env_config(*overrides):
-    return make_config("env=parking_lots", *overrides).env
+    return compose("env=parking_lots", *overrides).env
 
 
 @pytest.mark.parametrize("level", ["easy", "normal", "hard", "extreme"])
@@ -31,7 +31,7 @@ def test_the_lots_are_those_of_their_own_envs(level):
     several = env_config(f"env.level={level}")
     assert tuple(several.lots) == NAMES
     for name, lot in several.lots.items():
-        alone = make_config(f"env=parking_{name}", f"env.level={level}").env
+        alone = compose(f"env=parking_{name}", f"env.level={level}").env
         assert lot.model_copy(update={"vehicles_count": None}) == alone.lot
         assert lot.vehicles_range(several.vehicles_count) == alone.vehicles_range
 
@@ -41,7 +41,7 @@ def test_the_first_number_of_a_scene_chooses_its_lot_and_the_others_are_that_lot
     draws = np.random.default_rng(0).random((40, lot.n_draws))
     scenes = lot.scenes(draws)
     for row, (first, *others) in enumerate(draws):
-        alone = lot_of(make_config(f"env=parking_{NAMES[int(4 * first)]}", "env.level=normal").env)
+        alone = lot_of(compose(f"env=parking_{NAMES[int(4 * first)]}", "env.level=normal").env)
         expected = alone.scenes(np.array([others[: alone.n_draws]]))
         n_cars = expected.vehicles.shape[1]
         # Where a lot has fewer slots than another one, its last slot is repeated.
@@ -95,7 +95,7 @@ def test_a_lot_that_cannot_be_is_one_sentence_that_names_it(override, message):
 
 def test_features_have_the_symmetries_of_all_lots_and_the_largest_size():
     lot = lot_of(env_config("env.level=normal"))
-    parts = [lot_of(make_config(f"env=parking_{name}", "env.level=normal").env) for name in NAMES]
+    parts = [lot_of(compose(f"env=parking_{name}", "env.level=normal").env) for name in NAMES]
     assert lot.size_m == tuple(np.max([part.size_m for part in parts], axis=0))
     assert lot.nearest_row_m == min(part.nearest_row_m for part in parts)
     assert (lot.turned, lot.handed, lot.same_walls) == (False, True, False)
@@ -161,6 +161,6 @@ def test_lots_of_a_run_are_changed_one_by_one(trained):
 
 def test_an_agent_of_all_lots_keeps_its_features_on_one_of_them(trained):
     agent = find_agent(trained, Path(trained).parents[2])
-    bays = make_config("env=parking_bays", "env.level=normal").env
+    bays = compose("env=parking_bays", "env.level=normal").env
     extractor = agent.load(ParkingTask(bays)).actor.features_extractor
     assert (extractor.handed, extractor.lot_size_m) == (True, lot_of(agent.config.env).size_m)

@@ -8,10 +8,11 @@ from highway_env.utils import are_polygons_intersecting
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.marks import slow_but
-from support.runs import make_config, parking_envs
+from support.runs import parking_envs
 from support.simulator_equality import KINDS, actions_of, compare, differences, different_scenes
 
 from parking_exp.algorithms.build_model import GreedyPolicy
+from parking_exp.config.compose import compose
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.geometry import corners
 from parking_exp.tasks.parking.highway import make_env
@@ -111,7 +112,7 @@ FAST = ("speed limits", "nearest cars", "obstacles", "rays to cars and obstacles
 
 def env_config(*overrides) -> ParkingConfig:
     # Noise has an entry for each action, of which some configs have one.
-    return make_config(
+    return compose(
         *overrides, "algorithm.learning_starts=100000", "algorithm.action_noise=null"
     ).env
 

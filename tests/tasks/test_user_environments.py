@@ -7,16 +7,9 @@ import pytest
 import torch
 from support import toy_tasks
 from support.models import model_of
-from support.runs import (
-    ROOT,
-    call_script,
-    config_refusal,
-    make_config,
-    only_run,
-    refusal,
-    run_code,
-)
+from support.runs import ROOT, call_script, config_refusal, only_run, refusal, run_code
 
+from parking_exp.config.compose import compose
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
 from parking_exp.tasks.registry import make_task
@@ -41,7 +34,7 @@ SHORT = (
 
 
 def config(name, *overrides):
-    return make_config(*SHORT, f"env.id={TOY}{name}-v0", *overrides)
+    return compose(*SHORT, f"env.id={TOY}{name}-v0", *overrides)
 
 
 def train(output_dir, name, *overrides, code=0):
@@ -136,7 +129,7 @@ def test_seeds_of_training_fit_31_bits_and_are_no_seeds_of_evaluations(tmp_path)
 
 
 def test_seeds_of_parking_stay_what_they_were_since_published_policies_depend_on_them():
-    seeds = derive_seeds(0, make_config().env.training_seeds)
+    seeds = derive_seeds(0, compose().env.training_seeds)
     assert seeds.training_envs == 3677149159
 
 

@@ -6,10 +6,11 @@ import sys
 import pandas as pd
 import pytest
 from support.report_command import report
-from support.runs import call_script, config_refusal, make_config, only_run
+from support.runs import call_script, config_refusal, only_run
 from support.toy_tasks import BITS
 from support.user_policies import constant
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import UntrustedError
 from parking_exp.evaluation.agents import load_model
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
@@ -24,7 +25,7 @@ BOTH = f"env.metrics=[{OWN}.centred,{OWN}.last_speed]"
 
 def test_a_metric_of_parking_has_the_pose_at_the_end_and_the_same_info_in_both_simulators():
     metrics = f"env.metrics=[{OWN}.centred,{OWN}.ended,{OWN}.last_speed]"
-    task = make_task(make_config("env.duration=6", metrics).env)
+    task = make_task(compose("env.duration=6", metrics).env)
 
     tables = []
     for simulator in ("vectorized", "highway_env"):
@@ -40,7 +41,7 @@ def test_a_metric_of_parking_has_the_pose_at_the_end_and_the_same_info_in_both_s
 def test_a_metric_of_a_goal_environment_has_its_last_info():
     options = ["env=gymnasium", "env.id=support.toy_tasks:BitFlip-v0"]
     metric = f"env.metrics=[{OWN}.was_lost]"
-    task = make_task(make_config(*options, "algorithm.learning_starts=400", metric).env)
+    task = make_task(compose(*options, "algorithm.learning_starts=400", metric).env)
 
     table = evaluate_policy(constant(*range(BITS)), task, range(4))
 
@@ -86,7 +87,7 @@ def test_what_is_no_new_metric_is_one_sentence(paths, problem):
 def trained(tmp_path_factory):
     """The output directory of a run with two metrics."""
     output_dir = tmp_path_factory.mktemp("own")
-    train(make_config("experiment=smoke", f"output_dir={output_dir}", BOTH))
+    train(compose("experiment=smoke", f"output_dir={output_dir}", BOTH))
     return output_dir
 
 
@@ -135,9 +136,9 @@ def test_a_report_and_an_export_have_a_users_metrics_without_importing_them(
 def test_a_metric_is_part_of_a_runs_key_and_added_to_a_trained_run_by_an_evaluation(
     smoke, tmp_path
 ):
-    plain = make_config("experiment=smoke")
-    assert make_config("experiment=smoke", BOTH).run_key != plain.run_key
-    assert make_config("experiment=smoke", "env.metrics=null").run_key == plain.run_key
+    plain = compose("experiment=smoke")
+    assert compose("experiment=smoke", BOTH).run_key != plain.run_key
+    assert compose("experiment=smoke", "env.metrics=null").run_key == plain.run_key
     assert "metrics" not in plain.plain()["env"]
 
     path = tmp_path / "smoke" / "cell" / "seed=0"

@@ -5,8 +5,9 @@ import highway_env
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from support.runs import make_config, parking_envs
+from support.runs import parking_envs
 
+from parking_exp.config.compose import compose
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.pose import pose_in_slot
@@ -36,7 +37,7 @@ def trajectory(env, scene):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("option", parking_envs())
 def test_every_env_passes_gymnasiums_checker(option):
-    env = make_env(make_config(f"env={option}", "n_envs=1").env)
+    env = make_env(compose(f"env={option}", "n_envs=1").env)
     check_env(env, skip_render_check=True)  # raises where something is wrong
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
@@ -51,7 +52,7 @@ def test_every_env_passes_gymnasiums_checker(option):
     ],
 )
 def test_variants_equal_highway_envs_own(option, their_id):
-    config = make_config(f"env={option}", "n_envs=1").env
+    config = compose(f"env={option}", "n_envs=1").env
     assert trajectory(make_env(config), 3) == trajectory(gym.make(their_id), 3)
 
 
@@ -59,7 +60,7 @@ def test_success_of_parking_stop_means_parked():
     """Every pose that highway-env's own criterion accepts is inside the lines, straight and
     standing; and some are.
     """
-    reward = ParkingReward.of(make_config("env=parking_stop").env)
+    reward = ParkingReward.of(compose("env=parking_stop").env)
     rng, n = np.random.default_rng(0), 200_000
     off = (
         rng.uniform(-1, 1, (n, 4)) * [1.1, 1.6, 0.6, 0.2] * rng.random((n, 1))
@@ -82,7 +83,7 @@ def test_success_of_parking_stop_means_parked():
 
 
 def test_a_sparse_step_costs_1_and_a_crash_the_collision_penalty_besides():
-    env = make_env(make_config("env=parking_sparse").env)
+    env = make_env(compose("env=parking_sparse").env)
     env.reset(seed=0)
     rewards, terminated = [], False
     while not terminated:
@@ -95,7 +96,7 @@ def test_a_sparse_step_costs_1_and_a_crash_the_collision_penalty_besides():
 @pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
 def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
     """A car at 1.21 m beside the slot's centre: -0.11 by the root of 1.21 / 100."""
-    config = make_config("env.training_success_goal_reward=0.1", f"env.simulator={simulator}").env
+    config = compose("env.training_success_goal_reward=0.1", f"env.simulator={simulator}").env
     envs = make_training_envs(make_task(config), n_envs=1)
     goal = envs.reset()["desired_goal"]
     achieved = goal + np.array([0.0121, 0, 0, 0, 0, 0])
@@ -111,7 +112,7 @@ def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
 
 @pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])
 def test_training_and_evaluation_scenes_never_meet(seed):
-    training_seeds = make_config().env.training_seeds
+    training_seeds = compose().env.training_seeds
     seeds = derive_seeds(seed, training_seeds)
     assert seeds.training_envs >= TRAINING_SEEDS_START
     assert 0 <= seeds.policy < 2**31

@@ -5,16 +5,16 @@ highway-env.
 import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
-from support.runs import make_config
 from support.vec_env_equality import step_alike
 
+from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 
 @pytest.fixture
 def config():
-    return make_config("env.training_duration=2").env
+    return compose("env.training_duration=2").env
 
 
 def test_spaces_are_highway_envs(config):
@@ -59,7 +59,7 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
 
 @pytest.mark.parametrize("option", ["parking", "parking_crowded"])
 def test_state_is_saved_restored_and_continued_identically(option):
-    config = make_config(f"env={option}", "env.training_duration=4").env.for_training()
+    config = compose(f"env={option}", "env.training_duration=4").env.for_training()
     env, other = ParkingVecEnv(config, 64), ParkingVecEnv(config, 64)
     env.seed(3)
     other.set_state(env.get_state())  # a seed that waits for its reset is part of the state

@@ -8,18 +8,11 @@ import socket
 
 import pytest
 import yaml
-from support.runs import (
-    call_script,
-    evaluate_stored,
-    make_config,
-    names_in,
-    run_script,
-    store,
-    sync_stored,
-)
+from support.runs import call_script, evaluate_stored, names_in, run_script, store, sync_stored
 from support.sync_processes import sync
 from support.tracked_runs import files_below, finished_run, rows
 
+from parking_exp.config.compose import compose
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ParkingError, StoreError, UntrustedError
 from parking_exp.results.frames import load
@@ -193,7 +186,7 @@ def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, na
 
 
 def test_a_training_does_not_write_through_links(tmp_path):
-    config = make_config(
+    config = compose(
         "experiment=smoke", f"output_dir={tmp_path / 'outputs'}", "tracking.mlflow=false"
     )
     directory, outside = RunDirectory(config.run_dir), tmp_path / "file"

@@ -1,15 +1,16 @@
 """Stable-Baselines3 callbacks of a user's own package, named in the config."""
 
 import pytest
-from support.runs import config_refusal, make_config
+from support.runs import config_refusal
 
+from parking_exp.config.compose import compose
 from parking_exp.sweeps.single_run import train
 
 COUNTS = "support.user_callbacks.CountsRollouts"
 
 
 def config(tmp_path, callbacks):
-    return make_config("experiment=smoke", f"output_dir={tmp_path}", f"callbacks=[{callbacks}]")
+    return compose("experiment=smoke", f"output_dir={tmp_path}", f"callbacks=[{callbacks}]")
 
 
 def test_a_callback_logs_metrics_of_the_run_and_may_end_its_training(tmp_path):
@@ -21,7 +22,7 @@ def test_a_callback_logs_metrics_of_the_run_and_may_end_its_training(tmp_path):
 
 
 def test_a_callback_changes_the_key_of_a_run(tmp_path):
-    plain = make_config("experiment=smoke", f"output_dir={tmp_path}")
+    plain = compose("experiment=smoke", f"output_dir={tmp_path}")
 
     assert config(tmp_path, COUNTS).run_key != plain.run_key
     assert config(tmp_path, COUNTS).run_key == config(tmp_path, f"{{_target_:{COUNTS}}}").run_key

@@ -10,7 +10,7 @@ from filelock import FileLock
 from support.interruptions import cut_at
 from support.models import model_of
 from support.run_equality import differences
-from support.runs import make_config, only_run
+from support.runs import only_run
 from support.user_tasks import write_option
 
 from parking_exp.config.compose import compose
@@ -40,7 +40,7 @@ SMOKE = (
 
 
 def configured(output_dir, *overrides):
-    return make_config(*SMOKE, *overrides, f"output_dir={output_dir}")
+    return compose(*SMOKE, *overrides, f"output_dir={output_dir}")
 
 
 def demonstrated(config, on_progress=None):
@@ -226,7 +226,7 @@ def test_they_are_part_of_the_run_key():
         ("buffer.demonstrations=4", "buffer.demonstration_share=0.5"),
         ("buffer.demonstrations=4", "+buffer.demonstrator.margin_m=0.2"),
     ):
-        keys.add(make_config("env=parking_bays", *overrides).run_key)
+        keys.add(compose("env=parking_bays", *overrides).run_key)
     assert len(keys) == 5
 
 
@@ -261,12 +261,12 @@ def test_they_are_part_of_the_run_key():
 )
 def test_what_can_not_demonstrate_is_refused(overrides, sentence):
     with pytest.raises(ConfigError, match=sentence):
-        make_config(*overrides)
+        compose(*overrides)
 
 
 def test_a_buffer_of_the_library_has_none():
     with pytest.raises(ConfigError, match=r"buffer.demonstrations=3 needs parking_exp.*HerBuffer"):
-        make_config(
+        compose(
             "buffer=her_future",
             "~buffer.relabel_collision",
             "~buffer.relabel_terminated",

@@ -5,9 +5,10 @@ import shutil
 import pandas as pd
 import pytest
 from support.run_equality import differences
-from support.runs import call_script, make_config, only_run, refusal, store
+from support.runs import call_script, only_run, refusal, store
 from support.sweep_processes import sweep
 
+from parking_exp.config.compose import compose
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.sweeps.single_run import train
@@ -27,7 +28,7 @@ def trained(empty, tmp_path_factory):
     for name, settings in (("first", ()), ("other", OTHER)):
         (folder / name).mkdir()
         shutil.copy(empty / "mlflow.db", folder / name)
-        train(make_config(*SMOKE, *settings, f"output_dir={folder / name}"))
+        train(compose(*SMOKE, *settings, f"output_dir={folder / name}"))
     return folder
 
 
@@ -39,7 +40,7 @@ def finished(trained, tmp_path):
 
 def train_again(directory, *overrides):
     """Train a finished run with other settings."""
-    return train(make_config(*SMOKE, *overrides, f"output_dir={directory.output_dir}"))
+    return train(compose(*SMOKE, *overrides, f"output_dir={directory.output_dir}"))
 
 
 def final_runs(directory):

@@ -7,8 +7,9 @@ import time
 
 import pytest
 from support.run_equality import differences, stored
-from support.runs import assert_store_is_whole, make_config, only_run, run_script, script
+from support.runs import assert_store_is_whole, only_run, run_script, script
 
+from parking_exp.config.compose import compose
 from parking_exp.sweeps.single_run import train
 
 pytestmark = pytest.mark.slow
@@ -17,9 +18,7 @@ pytestmark = pytest.mark.slow
 def test_the_default_recipe_parks(tmp_path):
     rates = []
     for seed in (0, 1, 2):
-        config = make_config(
-            f"seed={seed}", f"output_dir={tmp_path}", "evaluation.video_episodes=0"
-        )
+        config = compose(f"seed={seed}", f"output_dir={tmp_path}", "evaluation.video_episodes=0")
         rates.append(train(config).metrics["final/success_rate"])
     assert min(rates) >= 0.95, rates
 

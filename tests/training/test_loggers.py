@@ -2,9 +2,10 @@
 
 import json
 
-from support.runs import make_config, names_in
+from support.runs import names_in
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from parking_exp.config.compose import compose
 from parking_exp.runs.metric_logs import MetricsLog
 from parking_exp.training.loggers import make_logger
 
@@ -24,7 +25,7 @@ def written(folder):
 
 
 def test_a_resumed_run_has_each_step_once_in_tensorboard_under_its_label(tmp_path):
-    tracking = make_config("experiment=smoke").tracking
+    tracking = compose("experiment=smoke").tracking
     log = tmp_path / "metrics.jsonl"
     killed = make_logger(tracking, tmp_path, MetricsLog(log), "n=8", ignore)
     for step in (1, 2, 3):

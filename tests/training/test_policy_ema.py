@@ -3,10 +3,11 @@
 import pytest
 import torch
 from support import models
-from support.runs import make_config, only_run
+from support.runs import only_run
 
 from parking_exp.algorithms.model_files import read_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
+from parking_exp.config.compose import compose
 from parking_exp.sweeps.single_run import train
 from parking_exp.training import checkpoints
 
@@ -74,11 +75,7 @@ def weights(path):
 
 
 def test_the_average_is_saved_as_the_final_model_and_not_trained_further(tmp_path):
-    train(
-        make_config(
-            *SMOKE, "total_timesteps=200", "tracking.mlflow=false", f"output_dir={tmp_path}"
-        )
-    )
+    train(compose(*SMOKE, "total_timesteps=200", "tracking.mlflow=false", f"output_dir={tmp_path}"))
     run = only_run(tmp_path)
     last = checkpoints.latest(run.checkpoints)
     final, trained = (

@@ -13,9 +13,10 @@ from support.interruptions import InterruptionError, cut, cut_at
 from support.marks import slow_but
 from support.models import model_of
 from support.run_equality import differences, leaves
-from support.runs import make_config, only_run
+from support.runs import only_run
 
 from parking_exp.algorithms.build_model import GreedyPolicy
+from parking_exp.config.compose import compose
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.evaluation.video import record_video
@@ -90,7 +91,7 @@ KINDS = {
 
 @cache
 def composed_once(*overrides):
-    return make_config(*SMOKE, *overrides)
+    return compose(*SMOKE, *overrides)
 
 
 def configured(output_dir, *overrides):

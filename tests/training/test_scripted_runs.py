@@ -5,10 +5,11 @@ from importlib.metadata import version
 
 import pandas as pd
 import pytest
-from support.runs import call_script, make_config, only_run, refusal, store
+from support.runs import call_script, only_run, refusal, store
 from support.sweep_processes import begin, wait_until
 
 from parking_exp import load_model
+from parking_exp.config.compose import compose
 from parking_exp.config.rules import update_ratio_warning
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.statistics import wilson_interval
@@ -106,7 +107,7 @@ def test_the_planner_has_no_model_to_load(planned):
 
 
 def test_keys_of_training_have_no_effect_on_what_is_not_trained():
-    plain = make_config("env=parking_parallel", "algorithm=planner")
+    plain = compose("env=parking_parallel", "algorithm=planner")
     for override in (
         "total_timesteps=5000",
         "init=pretrained/default",
@@ -115,13 +116,13 @@ def test_keys_of_training_have_no_effect_on_what_is_not_trained():
         "algorithm.features=ego",
         "++algorithm.policy_delay=3",
     ):
-        config = make_config("env=parking_parallel", "algorithm=planner", override)
+        config = compose("env=parking_parallel", "algorithm=planner", override)
         assert config.run_key == plain.run_key, override
-    assert make_config("algorithm=planner", "experiment=smoke").algorithm == plain.algorithm
-    assert update_ratio_warning(make_config("algorithm=planner", "n_envs=1")) is None
+    assert compose("algorithm=planner", "experiment=smoke").algorithm == plain.algorithm
+    assert update_ratio_warning(compose("algorithm=planner", "n_envs=1")) is None
 
 
 def test_what_is_trained_needs_env_steps():
-    assert make_config("algorithm=sac").total_timesteps == 256_000
+    assert compose("algorithm=sac").total_timesteps == 256_000
     with pytest.raises(ConfigError, match="total_timesteps=0: algorithm=sac is trained; give at"):
-        make_config("algorithm=sac", "buffer=replay", "total_timesteps=0")
+        compose("algorithm=sac", "buffer=replay", "total_timesteps=0")

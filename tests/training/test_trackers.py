@@ -4,9 +4,10 @@ import errno
 import json
 
 import pytest
-from support.runs import config_refusal, make_config, run_script
+from support.runs import config_refusal, run_script
 
 from parking_exp.config.allowlist import check_trust
+from parking_exp.config.compose import compose
 from parking_exp.errors import FailedRunError, InterruptedRunError, UntrustedError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train
@@ -22,9 +23,7 @@ SHORT = (
 
 
 def config(tmp_path, tracker, *overrides):
-    return make_config(
-        *SHORT, f"output_dir={tmp_path}", f"tracking.trackers=[{tracker}]", *overrides
-    )
+    return compose(*SHORT, f"output_dir={tmp_path}", f"tracking.trackers=[{tracker}]", *overrides)
 
 
 def calls(run_dir):
@@ -125,7 +124,7 @@ def test_trackers_work_in_the_processes_of_a_sweep(tmp_path):
 
 
 def test_trackers_change_no_key_of_a_run_and_are_not_trusted_in_the_runs_of_others(tmp_path):
-    plain = make_config(*SHORT, f"output_dir={tmp_path}")
+    plain = compose(*SHORT, f"output_dir={tmp_path}")
     tracked = config(tmp_path, WRITES)
 
     assert tracked.run_key == plain.run_key

@@ -19,7 +19,6 @@ from support.runs import (
     assert_store_is_whole,
     call_script,
     history,
-    make_config,
     only_run,
     script,
     store,
@@ -31,6 +30,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from parking_exp import __version__
 from parking_exp.algorithms.build_model import GreedyPolicy, build_model
 from parking_exp.algorithms.model_files import load_weights
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError, FailedRunError, RunLockedError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.runs.directory import RunDirectory
@@ -169,7 +169,7 @@ def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_
 
 
 def test_some_final_scenes_drawn_by_the_seed_are_certified(tmp_path):
-    config = make_config(
+    config = compose(
         "experiment=smoke", "evaluation.n_certified_scenes=2", "evaluation.video_episodes=0",
         "tracking.mlflow=false", f"output_dir={tmp_path}", "total_timesteps=100",
     )  # fmt: skip
@@ -195,7 +195,7 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
         return reward - 1e-6, reached
 
     monkeypatch.setattr(ParkingReward, "__call__", other)
-    config = make_config(
+    config = compose(
         "experiment=smoke",
         f"output_dir={output_dir}",
         "evaluation.video_episodes=0",
@@ -250,7 +250,7 @@ def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke_copy):
     assert again.stdout.startswith("already done")
     assert sorted(smoke_copy.path.rglob("*")) == before
     assert (
-        train(make_config("experiment=smoke", f"output_dir={smoke_copy.output_dir}"))
+        train(compose("experiment=smoke", f"output_dir={smoke_copy.output_dir}"))
         == smoke_copy.result()
     )
 
@@ -258,7 +258,7 @@ def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke_copy):
 def test_the_command_of_a_finished_run_makes_a_lost_store_again(smoke_copy):
     (smoke_copy.output_dir / "mlflow.db").unlink()
     shutil.rmtree(smoke_copy.output_dir / "mlflow-artifacts")
-    config = make_config("experiment=smoke", f"output_dir={smoke_copy.output_dir}")
+    config = compose("experiment=smoke", f"output_dir={smoke_copy.output_dir}")
     result = train(config)
     assert_store_is_whole(smoke_copy.output_dir, config.total_timesteps)
     assert result.run_id == smoke_copy.run_id
@@ -304,12 +304,12 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(
 def test_a_missing_device_is_refused_before_anything_is_on_disk(tmp_path):
     device = f"cuda:{torch.cuda.device_count()}"
     with pytest.raises(ConfigError, match=f"^device={device}"):
-        train(make_config("experiment=smoke", f"output_dir={tmp_path}", f"device={device}"))
+        train(compose("experiment=smoke", f"output_dir={tmp_path}", f"device={device}"))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_two_processes_do_not_work_on_one_run(tmp_path):
-    config = make_config("experiment=smoke", f"output_dir={tmp_path}")
+    config = compose("experiment=smoke", f"output_dir={tmp_path}")
     with (
         RunDirectory(config.run_dir).supervisor_lock(),
         pytest.raises(RunLockedError, match="another process"),
@@ -333,7 +333,7 @@ def test_what_a_training_has_made_is_closed_if_it_fails_while_it_is_made(
     def fail(*_, **__):
         raise RuntimeError("out of memory")
 
-    config = make_config(
+    config = compose(
         "experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false", "n_envs=2"
     )
     monkeypatch.setattr(ParkingTask, "close", lambda _: closed.append("task"))

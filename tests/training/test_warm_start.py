@@ -11,9 +11,10 @@ import torch
 from support.interruptions import cut_at
 from support.models import model_of
 from support.run_equality import differences, parameters
-from support.runs import make_config, only_run, refusal, store
+from support.runs import only_run, refusal, store
 from torch.nn.utils import parameters_to_vector
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import FailedRunError, ModelError, RunNotFoundError
 from parking_exp.evaluation.initial_agents import find_source, name_source
 from parking_exp.runs.atomic_files import sha256
@@ -36,7 +37,7 @@ WITHOUT_STORE = "tracking.mlflow=false"
 
 
 def configured(output_dir, *overrides):
-    return make_config(*SMOKE, *overrides, f"output_dir={output_dir}")
+    return compose(*SMOKE, *overrides, f"output_dir={output_dir}")
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +119,7 @@ def test_the_replay_buffer_has_the_sources_transitions_and_no_episode_under_way(
 def test_networks_of_a_pretrained_agent_are_their_own_targets(
     agent, env, units, cars_seen, has_critics
 ):
-    config = make_config(
+    config = compose(
         f"init=pretrained/{agent}",
         f"env={env}",
         f"env.observation.vehicles_count={cars_seen}",

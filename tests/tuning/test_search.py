@@ -6,9 +6,10 @@ import pytest
 from optuna.distributions import CategoricalDistribution
 from optuna.trial import create_trial
 from support.marks import slow_but
-from support.runs import make_config, options
+from support.runs import options
 from support.searches import user_search
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError, StoreError
 from parking_exp.tuning.search import Search, _compose_groups, read_search
 
@@ -41,7 +42,7 @@ def test_a_trial_has_the_config_that_train_composes_from_the_same_keys(tmp_path)
         "algorithm=td3", "algorithm.net_arch=[8,8]", "algorithm.policy_ema_half_life=null",
         "buffer.goal_selection_strategy=final", f"algorithm.learning_rate={{{','.join(lines)}}}",
     )  # fmt: skip
-    assert search.config(changes).run_key == make_config("experiment=smoke", *keys).run_key
+    assert search.config(changes).run_key == compose("experiment=smoke", *keys).run_key
     assert search.config(changes).algorithm.name == "td3"
     assert search.folder == tmp_path / "mine"
 

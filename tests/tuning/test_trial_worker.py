@@ -7,9 +7,9 @@ import shutil
 
 import optuna
 import pytest
-from support.runs import make_config
 from support.searches import QUICK
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import OutputDirectoryError, ResultsError
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_state import read_state
@@ -94,7 +94,7 @@ def test_a_trial_that_is_worse_than_the_median_is_pruned_after_a_seed_and_trial_
 
 def test_the_objective_is_the_normalised_area_under_the_success_curve(tmp_path):
     directory = RunDirectory(tmp_path / "seed=0")
-    directory.write_config(make_config(f"output_dir={tmp_path}"))
+    directory.write_config(compose(f"output_dir={tmp_path}"))
     rates = {1000: 0.0, 2000: 0.5, 3000: 0.96, 4000: 0.95}
     lines = [
         {"step": step, "time_ms": 0, "metrics": {"eval/success_rate": rate}}
