@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Evaluate a trained agent on real highway-env; see --help."""
+"""Evaluate trained agents again, e.g. on other tasks; see --help."""
 
 import sys
 from pathlib import Path

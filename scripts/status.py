@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Tell how far runs are; see --help."""
+"""Show how far runs are; see --help."""
 
 import sys
 from pathlib import Path

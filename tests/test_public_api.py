@@ -53,7 +53,9 @@ PUBLIC_PATHS = (
     "parking_exp.sweeps.local.LocalLauncher",
     "parking_exp.sweeps.slurm.SlurmLauncher",
     "parking_exp.sweeps.supervisor.supervise_job",
-    "parking_exp.reports.sections.Section",
+    "parking_exp.report_section.Column",
+    "parking_exp.report_section.Section",
+    "parking_exp.report_section.Table",
     "parking_exp.training.trackers.Tracker",
 )
 TARGET = re.compile(r"_target_: (parking_exp\.[\w.]+)")

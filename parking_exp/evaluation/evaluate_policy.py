@@ -12,7 +12,7 @@ from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.statistics import wilson_interval
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.metrics import EPISODE_SEED, Episode, Metric, episode_columns, outcome
-from parking_exp.tasks.rollout import rollout
+from parking_exp.tasks.rollout import rollout, seed_batches
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
 TOLERANCE = 1e-9  # of numbers, between two simulators
@@ -44,10 +44,8 @@ def evaluate_policy(
     Raises:
         DivergenceError: an observation or a reward is not finite.
     """
-    batch_size = min(task.batch_size, policy.max_batch_size)
     rows: dict[int, dict[str, Any]] = {}
-    for first in range(0, len(seeds), batch_size):
-        batch_seeds = list(seeds[first : first + batch_size])
+    for batch_seeds in seed_batches(seeds, task, policy):
         batch = task.evaluation_batch(batch_seeds, simulator)
         _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_step, paths)
 

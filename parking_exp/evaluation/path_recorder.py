@@ -37,7 +37,7 @@ class PathRecorder:
         return paths.sort_values([EPISODE_SEED, "step"], ignore_index=True)
 
     def write(self, path: Path) -> None:
-        """Write the paths as gzipped CSV, in mm and mrad, if the task has positions."""
+        """Write the paths as gzipped CSV, rounded to 0.001, if the task has positions."""
         paths = self.table()
         if len(paths.columns) > 2:
             write_gzip(path, paths.to_csv(index=False, float_format="%.3f"))

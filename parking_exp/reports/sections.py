@@ -1,6 +1,7 @@
 """The sections of a report, in order: what each has to say, its figures and its tables."""
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -141,7 +142,7 @@ def load_sections(paths: Sequence[str]) -> list[Section]:
         section = import_object(path, f"report.sections: {path}")
         if not isinstance(section, Section):
             raise ConfigError(
-                f"report.sections: {path} is not a parking_exp.reports.sections.Section"
+                f"report.sections: {path} is not a parking_exp.report_section.Section"
             )
         sections.append(section)
     return sections
@@ -179,7 +180,11 @@ def section_contents(
     figures: Sequence[DrawnFigure] = (),
     sections: Sequence[Section] | None = None,
 ) -> list[SectionContent]:
-    """Return what sections say of a report, by default all of them."""
+    """Return what sections say of a report, by default all of them.
+
+    Raises:
+        ConfigError: sections, tables or figures have the same name.
+    """
     contents = []
     for section in sections_of(report) if sections is None else sections:
         tables: list[Table] = []
@@ -188,7 +193,17 @@ def section_contents(
         own_figures = [figure for figure in figures if figure.section == section.id]
         text = list(section.text(report))
         contents.append(SectionContent(section.id, section.title, text, tables, own_figures))
+    _refuse_repeats("sections", [content.id for content in contents])
+    _refuse_repeats("tables", [table.name for content in contents for table in content.tables])
+    _refuse_repeats("figures", [figure.name for figure in figures])
     return contents
+
+
+def _refuse_repeats(kind: str, names: Sequence[str]) -> None:
+    """Raise ConfigError for names that occur twice: files and links have them."""
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise ConfigError(f"report.sections: {count} {kind} have the name {name}; rename yours")
 
 
 def draw(

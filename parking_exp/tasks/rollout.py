@@ -4,12 +4,19 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from parking_exp.tasks.task import EvaluationBatch, Policy, Step
+from parking_exp.tasks.task import EvaluationBatch, Policy, Step, Task
 
 Rollout = Iterator[tuple[np.ndarray, np.ndarray, Step]]
 """After each step: the numbers of the episodes that took it, shape (n,), their actions, shape (n,
 actions), and the step.
 """
+
+
+def seed_batches(seeds: Sequence[int], task: Task, policy: Policy) -> Iterator[list[int]]:
+    """Yield seeds in batches of as many episodes as both the task and the policy run together."""
+    batch_size = min(task.batch_size, policy.max_batch_size)
+    for first in range(0, len(seeds), batch_size):
+        yield list(seeds[first : first + batch_size])
 
 
 def rollout(

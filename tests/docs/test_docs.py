@@ -285,4 +285,5 @@ def test_the_commands_of_the_extending_page_run_with_an_installed_wheel(
     assert summary["centred_rate"] == (distance < 0.5).mean()
     page = (tmp_path / "outputs/reports/mine/index.html").read_text()
     assert "How many seeds" in page
+    assert '<table id="table-replicates">' in page
     assert "centred (%)" in page

@@ -57,6 +57,7 @@ def test_results_of_a_pretrained_agent_follow_no_link_out_of_the_output_director
             0.98,
         ),  # of 500 scenes 99.8 %, see its card
         ("pretrained/parallel", "parking_parallel", "parked_rate", 1.0),
+        ("pretrained/lots", "parking_lots", "parked_rate", 0.98),
     ],
 )
 def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
@@ -90,6 +91,7 @@ def test_their_configs_are_those_of_the_recipes():
         "parked": ("experiment=parked",),
         "crowded": ("experiment=crowded", *crowded),
         "parallel": ("experiment=tight_lots", *parallel),
+        "lots": ("experiment=all_lots", "seeds=1"),
     }
     for name, overrides in recipes.items():
         config, recipe = (
@@ -112,7 +114,7 @@ def test_their_configs_are_those_of_the_recipes():
 def test_an_unknown_name_is_refused_with_the_known_ones(tmp_path):
     for name in ("pretrained/parkd", "pretrained/../default"):
         with pytest.raises(
-            RunNotFoundError, match=rf"^run={re.escape(name)}.* default, parallel, parked"
+            RunNotFoundError, match=rf"^run={re.escape(name)}.* default, lots, parallel, parked"
         ):
             find_agent(name, tmp_path)
     with pytest.raises(RunNotFoundError, match=r"^run=pretrained.* model=best"):

@@ -1,20 +1,22 @@
 """A section of one's own: what `docs/extending.md` shows."""
 
+from dataclasses import replace
+
 import pytest
 from support import report_factory
 
 from parking_exp.errors import ConfigError
 from parking_exp.figure_style import SectionFigure, new_figure
-from parking_exp.report_section import Table, cell_record
-from parking_exp.reports.report_files import write_tables
+from parking_exp.report_section import Section, Table, cell_record
+from parking_exp.reports.report_files import write_report, write_tables
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import (
-    Section,
     draw,
     load_sections,
     section_contents,
     sections_of,
 )
+from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import cell_column, interval_column, spread
 
 
@@ -74,7 +76,7 @@ def test_a_section_of_a_users_package_is_named_in_the_config():
             "nothing.here",
             "report.sections: nothing.here: ModuleNotFoundError: No module named 'nothing'",
         ),
-        ("json.dumps", "report.sections: json.dumps is not a parking_exp.reports.sections.Section"),
+        ("json.dumps", "report.sections: json.dumps is not a parking_exp.report_section.Section"),
     ],
 )
 def test_what_is_no_section_is_refused(path, problem):
@@ -89,3 +91,25 @@ def test_a_section_without_anything_to_say_is_left_out():
         report, sections=[Section("empty", "Nothing", tables=[lambda report: []])]
     )
     assert "Nothing" not in render_page(report, contents)
+
+
+@pytest.mark.parametrize(
+    ("section", "problem"),
+    [
+        (replace(SLOW, id="results"), "2 sections have the name results"),
+        (
+            Section("mine", "Mine", tables=[report_tables.headline]),
+            "2 tables have the name headline",
+        ),
+        (
+            replace(SLOW, figures=[SectionFigure("pairwise", "Timeouts", timeout_bars)]),
+            "2 figures have the name pairwise",
+        ),
+    ],
+)
+def test_a_section_that_would_replace_parts_of_others_is_refused(section, problem, tmp_path):
+    report = report_factory.report(2, 3)
+    with pytest.raises(ConfigError) as error:
+        write_report(report, tmp_path, ["svg"], [section])
+    assert str(error.value) == f"report.sections: {problem}; rename yours"
+    assert not [*tmp_path.iterdir()]

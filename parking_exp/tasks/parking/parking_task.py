@@ -16,6 +16,7 @@ from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.parking_metrics import METRICS, PATH_COLUMNS
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.parking.simulator.scene_state import SCALES
+from parking_exp.tasks.rollout import seed_batches
 from parking_exp.tasks.task import EvaluationBatch, Observation, Policy, Task
 
 if TYPE_CHECKING:
@@ -118,7 +119,6 @@ class ParkingTask(Task):
         from parking_exp.tasks.parking.replay_page import render_replay
 
         episodes = []
-        for first in range(0, len(seeds), self.batch_size):
-            batch_seeds = seeds[first : first + self.batch_size]
+        for batch_seeds in seed_batches(seeds, self, policy):
             episodes += record_episodes(policy, self.config, batch_seeds)
         return render_replay(episodes, self.config.policy_frequency, title)
