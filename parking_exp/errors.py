@@ -1,6 +1,7 @@
 """Errors that the command line prints as a sentence, without a traceback."""
 
 import errno
+import sqlite3
 
 # Problems of disks and permissions. Any other `OSError` may be a bug, and keeps its traceback.
 DISK_ERRORS = {
@@ -8,6 +9,7 @@ DISK_ERRORS = {
     errno.EROFS, errno.EACCES, errno.EPERM, errno.EEXIST,
     errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.ESTALE, errno.ENOLCK,
 }  # fmt: skip
+MAX_REASON_LENGTH = 200
 
 
 class ParkingError(Exception):
@@ -86,3 +88,16 @@ def first_line(error: BaseException) -> str:
 def one_line(error: object) -> str:
     """Return an error's message as one line."""
     return " ".join(str(error).split())
+
+
+def reason_of_failure(error: BaseException) -> str:
+    """Return in one line why a store failed, in the words of the system or sqlite if possible."""
+    reported = error
+    seen = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in seen:
+        seen.append(cause)
+        if isinstance(cause, OSError | sqlite3.Error) and not isinstance(error, ParkingError):
+            reported = cause
+        cause = cause.__cause__ or cause.__context__
+    return (one_line(reported) or type(reported).__name__)[:MAX_REASON_LENGTH]

@@ -80,6 +80,6 @@ class Section:
     figures: Sequence[SectionFigure] = ()
 
 
-def cell_record(cell: Any) -> dict[str, Any]:
+def cell_row(cell: Any) -> dict[str, Any]:
     """Return the columns of a row that name its cell."""
     return {"cell": cell.id, "label": cell.label}

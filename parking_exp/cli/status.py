@@ -22,7 +22,7 @@ from parking_exp.phrases import plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_plans import delete_plan, never_began
-from parking_exp.runs.run_state import RunState, as_plain, as_planned, read_state
+from parking_exp.runs.run_state import RunState, as_plain, in_plan_order, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import check_output, console, say
 from parking_exp.tracking.store import Store
@@ -86,7 +86,7 @@ def _read_states(request: StatusRequest) -> list[RunState]:
     """Return the runs of a request, or raise RunNotFoundError if it has none."""
     experiment = request.experiment_name
     folder = request.output_path
-    states = as_planned(read_state(path) for path in find_runs(folder, experiment))
+    states = in_plan_order(read_state(path) for path in find_runs(folder, experiment))
     if states or request.prune:  # which may have left none
         return states
     if experiment is None:

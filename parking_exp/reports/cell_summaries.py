@@ -213,7 +213,7 @@ def _summarise_task(
     if task is None:
         return {}
     data = task.rates(final, cell.config)
-    return {"task_data": data, "drawn": task.drawn(paths, cell.config)}
+    return {"task_data": data, "drawn": task.cell_drawing(paths, cell.config)}
 
 
 def _average(

@@ -34,7 +34,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import console, program, say
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import sync_problem
+from parking_exp.tracking.sync import complete_store
 from parking_exp.tuning.search import StoredSearch
 
 
@@ -97,7 +97,7 @@ def _read_own_store(request: ReportRequest, show: Callable[[str], None]) -> Resu
         if not names or path.parents[1].name in names
     ]
     store = Store(default_uri(request.output_path), request.output_path)
-    problem = sync_problem(map(RunDirectory, paths), store)
+    problem = complete_store(map(RunDirectory, paths), store)
 
     show("reading the store")
     results = read_store(store, request.experiments)

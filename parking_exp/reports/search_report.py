@@ -17,7 +17,7 @@ from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import (
     interval_column,
-    record,
+    row_of,
     spread,
     text_column,
 )
@@ -104,7 +104,7 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         row: dict[str, Any] = {OBJECTIVE: trial.value}
         row |= dict.fromkeys(settings.space)
         row |= trial.parameters
-        row |= record(trial)
+        row |= row_of(trial)
         row["label"] = trial.label
         rows.append(row)
     caption = f"Trials: means over {len(settings.tuning_seeds)} tuning seeds (%), and parameters."

@@ -13,7 +13,7 @@ import pandas as pd
 
 from parking_exp.config.cell_labels import FlatConfig, Setting
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
-from parking_exp.errors import ParkingError, ResultsError
+from parking_exp.errors import ParkingError, ResultsError, reason_of_failure
 from parking_exp.phrases import suggestion
 from parking_exp.results.artifact_parsers import (
     CATEGORIES,
@@ -29,7 +29,6 @@ from parking_exp.results.artifact_parsers import (
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
 from parking_exp.runs.run_files import CONFIG_FILE, PATHS_FILE
 from parking_exp.tasks.registry import METRICS, added_metrics
-from parking_exp.tracking.client import reason
 from parking_exp.tracking.embedded_store import prepare
 from parking_exp.tracking.store import Store
 
@@ -168,7 +167,7 @@ def as_results_error(what: str) -> Iterator[None]:
     except ParkingError:
         raise
     except Exception as error:
-        raise ResultsError(f"{what}: {reason(error)}") from error
+        raise ResultsError(f"{what}: {reason_of_failure(error)}") from error
 
 
 def _choose_experiments(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
@@ -313,7 +312,7 @@ def _read_files(
             if content is not None:
                 return parse(content), None
         except Exception as error:
-            return None, f"{name} can't be read: {reason(error)}"
+            return None, f"{name} can't be read: {reason_of_failure(error)}"
         if run["status"] == "done" and not optional:
             return None, f"{name} is missing in the store"
         return None, None

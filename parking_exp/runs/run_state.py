@@ -87,8 +87,8 @@ def read_state(path: Path) -> RunState:
     return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 
-def as_planned(states: Iterable[RunState]) -> list[RunState]:
-    """Return runs by experiment, in the order of the plan that made them.
+def in_plan_order(states: Iterable[RunState]) -> list[RunState]:
+    """Return runs by experiment, in the order of the plan that made them, with distinct labels.
 
     Cells of several plans may have the same label; these labels get the keys of their cells.
     """

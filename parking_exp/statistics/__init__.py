@@ -13,19 +13,19 @@ from parking_exp.statistics.comparisons import (
 )
 from parking_exp.statistics.effects import MainEffect, main_effects
 from parking_exp.statistics.intervals import Interval, coverage_note
+from parking_exp.statistics.learning_curves import (
+    SurvivalCurve,
+    kaplan_meier,
+    normalised_area,
+    ratio_of_times,
+    steps_to,
+)
 from parking_exp.statistics.means import SeedRates, mean_interval
 from parking_exp.statistics.rates import (
     finite_or_none,
     interquartile_mean,
     unseen_share,
     wilson_interval,
-)
-from parking_exp.statistics.survival import (
-    SurvivalCurve,
-    kaplan_meier,
-    normalised_area,
-    ratio_of_times,
-    steps_to,
 )
 
 __all__ = [

@@ -12,7 +12,7 @@ from parking_exp.config.cell_labels import label_cells, settings_of
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
-from parking_exp.evaluation.initial_agents import name_source
+from parking_exp.evaluation.init_sources import name_source
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_plans import make_pending
 from parking_exp.terminal import is_script, say, unfailing_output

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from parking_exp.errors import ParkingError
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.tracking.store_writer import Moment, StoreWriter, moment_of
+from parking_exp.tracking.store_writer import StoreWriter, SyncPoint, sync_point
 
 POLL_S = 1.0
 PAUSE_S = 60.0  # until a run that could not be synced is tried again: that could take minutes
@@ -25,7 +25,7 @@ def syncing(find: Callable[[], Sequence[Path]], writer: StoreWriter) -> Iterator
     if not writer.stores:
         yield
         return
-    synced = {path: moment_of(RunDirectory(path)) for path in find()}
+    synced = {path: sync_point(RunDirectory(path)) for path in find()}
     is_over = threading.Event()
     thread = threading.Thread(target=_watch, args=(find, writer, synced, is_over), daemon=True)
     thread.start()
@@ -40,7 +40,7 @@ def syncing(find: Callable[[], Sequence[Path]], writer: StoreWriter) -> Iterator
 def _watch(
     find: Callable[[], Sequence[Path]],
     writer: StoreWriter,
-    synced: dict[Path, Moment],
+    synced: dict[Path, SyncPoint],
     is_over: threading.Event,
 ) -> None:
     """Sync the runs that have a new checkpoint or have ended, until it is over."""
@@ -54,13 +54,13 @@ def _watch(
             if is_over.is_set():
                 return
             directory = RunDirectory(path)
-            moment = moment_of(directory)
-            if moment == synced.get(path) or time.monotonic() < paused_until.get(path, 0.0):
+            point = sync_point(directory)
+            if point == synced.get(path) or time.monotonic() < paused_until.get(path, 0.0):
                 continue
-            status, checkpoint = moment
+            status, checkpoint = point
             if checkpoint is not None or status not in ("pending", "running"):
                 writer.sync(directory)
             if path in writer.problems:
                 paused_until[path] = time.monotonic() + PAUSE_S
             else:
-                synced[path] = moment
+                synced[path] = point

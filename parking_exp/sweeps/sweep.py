@@ -19,7 +19,7 @@ from parking_exp.config.compose import ComposedRun
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError, FailedRunError
-from parking_exp.evaluation.initial_agents import name_source
+from parking_exp.evaluation.init_sources import name_source
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan

@@ -234,11 +234,12 @@ class TaskReport:
         sections: the sections of the report.
         rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of
             its runs, and from its config by dotted keys.
-        drawn: returns what figures show of a cell beside its data, from the paths of one run (seed,
-            step, positions, outcome), which may have none, and from its config by dotted keys.
+        cell_drawing: returns what figures show of a cell beside its data, from the paths of one run
+            (seed, step, positions, outcome), which may have none, and from its config by dotted
+            keys.
     """
 
     methods: Sequence[str]
     sections: Sequence["Section"]
     rates: Callable[["Sequence[pd.DataFrame]", Mapping[str, Any]], dict[str, Any]]
-    drawn: Callable[["pd.DataFrame", Mapping[str, Any]], Any]
+    cell_drawing: Callable[["pd.DataFrame", Mapping[str, Any]], Any]

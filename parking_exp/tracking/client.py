@@ -10,7 +10,6 @@ between processes, which network file systems lack. Readers (`mlflow ui`) need n
 import gc
 import logging
 import os
-import sqlite3
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
@@ -20,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock
 
 from parking_exp.config.paths import SQLITE, database
-from parking_exp.errors import ParkingError, one_line
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
@@ -31,7 +29,6 @@ OUTPUT_DIR_TAG = "parking_exp.output_dir"
 located.
 """
 WAIT_S = 120  # for other writers
-MAX_REASON_LENGTH = 200
 ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
     "GIT_PYTHON_REFRESH": "quiet",
@@ -80,7 +77,7 @@ def say_ignored_store() -> None:
 def connect(uri: str) -> "MlflowClient":
     """Return a client of a store that has answered; make a database of sqlite if there is none.
 
-    Raises whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
+    Raises whatever MLflow, SQLAlchemy or the disk raise; `reason_of_failure` puts it in a line.
     """
     with no_garbage_collection():
         import_mlflow()
@@ -120,19 +117,6 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
 def lock_path(path: Path) -> Path:
     """Return the lock file of an embedded store."""
     return path.with_name(f".{path.name}.lock")
-
-
-def reason(error: BaseException) -> str:
-    """Return in one line why a store failed, in the words of the system or sqlite if possible."""
-    reported = error
-    seen = []
-    cause: BaseException | None = error
-    while cause is not None and cause not in seen:
-        seen.append(cause)
-        if isinstance(cause, OSError | sqlite3.Error) and not isinstance(error, ParkingError):
-            reported = cause
-        cause = cause.__cause__ or cause.__context__
-    return (one_line(reported) or type(reported).__name__)[:MAX_REASON_LENGTH]
 
 
 def _make_database(path: Path) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from rich.progress import track
 
 from parking_exp.config.paths import ARTIFACTS, SQLITE
-from parking_exp.errors import StoreError
+from parking_exp.errors import StoreError, reason_of_failure
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
@@ -23,7 +23,6 @@ from parking_exp.tracking.client import (
     OUTPUT_DIR_TAG,
     lock_path,
     no_garbage_collection,
-    reason,
     write_lock,
 )
 from parking_exp.tracking.store import EXPERIMENTS, Store
@@ -84,7 +83,7 @@ def _build(store: Store, path: Path) -> None:
             with no_garbage_collection():
                 write_new_run(directory, new, store.uri, experiment_ids)
         except Exception as error:  # of this run; the store has the others
-            problems.append(f"{directory.path}: {reason(error)}")
+            problems.append(f"{directory.path}: {reason_of_failure(error)}")
     unfinished.replace(path)
     lock_path(unfinished).unlink(missing_ok=True)
     if problems:
@@ -104,7 +103,7 @@ def _is_usable(path: Path) -> bool:
     try:
         experiments = store.client.search_experiments(max_results=EXPERIMENTS)
     except Exception as error:
-        text = reason(error)
+        text = reason_of_failure(error)
         if "out-of-date database schema" in text:  # MLflow adds what an older one lacks
             raise StoreError(
                 f"{path} was made by another MLflow; install that, or {MOVE_IT}"

@@ -8,9 +8,9 @@ from parking_exp.runs.checkpoint_files import find_checkpoints
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import Status
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import sync_hint, sync_problem, try_sync
+from parking_exp.tracking.sync import complete_store, sync_hint, try_sync
 
-Moment = tuple[Status, str | None]
+SyncPoint = tuple[Status, str | None]
 """Status of a run, and the name of its newest checkpoint."""
 
 
@@ -45,13 +45,13 @@ class StoreWriter:
             self.sync(directory)
 
     def _sync(self, directory: RunDirectory, store: Store) -> None:
-        moment = moment_of(directory)
+        point = sync_point(directory)
         problem = try_sync(directory, store)
         if problem is None:
             had_failed = self.problems.pop(directory.path, None)
             if had_failed and not self.problems:
                 self._say("the store is complete again")
-        elif moment_of(directory) == moment:  # else it went on, and its files with it
+        elif sync_point(directory) == point:  # else it went on, and its files with it
             if not self.problems:
                 hint = sync_hint(directory.output_dir, store.uri)
                 self._say(
@@ -63,12 +63,12 @@ class StoreWriter:
     def complete_stores(self, directories: Sequence[RunDirectory]) -> None:
         """Sync what the stores lack of some runs, and say if they still lack some."""
         for store in self.stores:
-            problem = sync_problem(directories, store)
+            problem = complete_store(directories, store)
             if problem is not None:
                 self._say(problem)
 
 
-def moment_of(directory: RunDirectory) -> Moment:
+def sync_point(directory: RunDirectory) -> SyncPoint:
     """Return where a run is: it changes whenever there is something to sync."""
     checkpoints = find_checkpoints(directory.checkpoints)
     newest = checkpoints[-1].name if checkpoints else None

@@ -10,22 +10,21 @@ from filelock import FileLock
 
 from parking_exp.config.paths import default_uri, is_same_store, resolved
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import StoreError
+from parking_exp.errors import StoreError, reason_of_failure
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import STATUS_FILE
 from parking_exp.terminal import program
-from parking_exp.tracking.client import reason
 from parking_exp.tracking.embedded_store import prepare
-from parking_exp.tracking.store import Store
-from parking_exp.tracking.stored_run import (
+from parking_exp.tracking.run_snapshot import (
     DIGEST,
     OUTPUT_ID,
     digest_in_store,
     files_in_store,
     status_in_store,
 )
+from parking_exp.tracking.store import Store
 from parking_exp.tracking.write_run import write_run
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ def try_sync(directory: RunDirectory, store: Store) -> str | None:
     try:
         sync_run(directory, store)
     except Exception as error:
-        return reason(error)
+        return reason_of_failure(error)
     return None
 
 
@@ -68,8 +67,8 @@ def sync_missing(
 ) -> Iterator[tuple[RunDirectory, str | None]]:
     """Sync the runs that a store lacks or has an older state of, found by one search.
 
-    Runs under way are skipped. The store that a run directory names is not connected to: it may
-    come from elsewhere.
+    Each run is sent when its result is asked for, so iterate to the end. Runs under way are
+    skipped. The store that a run directory names is not connected to: it may come from elsewhere.
 
     Yields:
         Each run that the store lacked, and what kept it from being synced now, or None.
@@ -86,7 +85,7 @@ def sync_missing(
     try:
         synced = _digests(idle, store)
     except Exception as error:
-        problem = reason(error)
+        problem = reason_of_failure(error)
         yield from ((directory, problem) for directory in idle)
         return
     for directory in idle:
@@ -109,9 +108,11 @@ def _is_stored(
     return False
 
 
-def sync_problem(directories: Iterable[RunDirectory], store: Store) -> str | None:
-    """Sync what a store lacks of some runs; return a sentence if it still lacks some, with the
-    command to run.
+def complete_store(directories: Iterable[RunDirectory], store: Store) -> str | None:
+    """Sync what a store lacks of some runs.
+
+    Returns:
+        A sentence with the command to run if the store still lacks some, or None.
     """
     problems = [item for item in sync_missing(directories, store) if item[1] is not None]
     if not problems:
@@ -147,8 +148,9 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
                 with store.writing() as client:
                     client.delete_run(run.info.run_id)
     except Exception as error:
+        problem = reason_of_failure(error)
         raise StoreError(
-            f"{directory.path} is kept, since the store {store.uri} fails: {reason(error)}"
+            f"{directory.path} is kept, since the store {store.uri} fails: {problem}"
         ) from error
 
 

@@ -19,8 +19,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.file_hashes import changed_files, has_hashes
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.run_files import CONFIG_FILE
-from parking_exp.tracking.store import Store
-from parking_exp.tracking.stored_run import (
+from parking_exp.tracking.run_snapshot import (
     DIGEST,
     OUTPUT_ID,
     STARTED,
@@ -28,6 +27,7 @@ from parking_exp.tracking.stored_run import (
     RunSnapshot,
     take_snapshot,
 )
+from parking_exp.tracking.store import Store
 
 if TYPE_CHECKING:
     from mlflow.entities import Metric, Run

@@ -19,7 +19,7 @@ from parking_exp.config.cell_labels import (
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.evaluation.agents import Agent
-from parking_exp.evaluation.initial_agents import find_source
+from parking_exp.evaluation.init_sources import find_source
 from parking_exp.runs.atomic_files import sha256
 from parking_exp.runs.checkpoint_files import BUFFER, find_checkpoints
 from parking_exp.runs.directory import RunDirectory

@@ -15,7 +15,7 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, refuse, validate
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.initial_agents import name_source
+from parking_exp.evaluation.init_sources import name_source
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.lookup import LATEST
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest

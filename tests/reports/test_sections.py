@@ -7,7 +7,7 @@ from support import report_factory
 
 from parking_exp.errors import ConfigError
 from parking_exp.figure_style import SectionFigure, new_figure
-from parking_exp.report_section import Section, Table, cell_record
+from parking_exp.report_section import Section, Table, cell_row
 from parking_exp.reports.report_files import write_report, write_tables
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import (
@@ -23,7 +23,7 @@ from parking_exp.reports.tables.table import cell_column, interval_column, sprea
 def timeouts(report):
     """Yield a table with a row for each cell."""
     rows = [
-        {**cell_record(cell), **spread("timeout", cell.metrics["timeout"])} for cell in report.cells
+        {**cell_row(cell), **spread("timeout", cell.metrics["timeout"])} for cell in report.cells
     ]
     columns = [cell_column(), interval_column("Timeout (%)", "timeout")]
     yield Table("timeouts", rows, columns, "Episodes that ran out of time.")

@@ -12,7 +12,7 @@ from parking_exp.config.compose import compose
 from parking_exp.figure_style import report_style
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.lot_figures import LotDrawing, draw_lots, draw_polygons, rectangles
+from parking_exp.tasks.parking.lot_figures import DrawnLot, draw_lots, draw_polygons, rectangles
 from parking_exp.tasks.parking.scenes import NO_SLOT
 
 LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end")
@@ -25,7 +25,7 @@ def draw():
         config = compose(f"env={name}", "env.level=normal")
         scene = lot_of(config.env).from_seeds([1])
         cells.append(
-            SimpleNamespace(label=name, drawn=LotDrawing(scene, walls=True, paths=pd.DataFrame()))
+            SimpleNamespace(label=name, drawn=DrawnLot(scene, walls=True, paths=pd.DataFrame()))
         )
 
     figure, panels = draw_lots(cells)

@@ -27,7 +27,7 @@ WATCHED = (
     "parking_exp/tracking/sync.py",
     "parking_exp/tracking/write_run.py",
     "parking_exp/tracking/embedded_store.py",
-    "parking_exp/tracking/stored_run.py",
+    "parking_exp/tracking/run_snapshot.py",
     "parking_exp/runs/atomic_files.py",
     "parking_exp/runs/directory.py",
     "mlflow/tracking/client.py",

@@ -16,7 +16,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.parking_report import drawn, rates
+from parking_exp.tasks.parking.parking_report import cell_drawing, rates
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT
 from parking_exp.tasks.parking.simulator import Simulator
@@ -466,7 +466,7 @@ def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored(
     scenes = lot.from_seeds(range(20))
     x, y, heading = scenes.goal_pose.T
     ends = {"scene": range(20), "step": 9, "outcome": "success", "x_m": x, "y_m": y}
-    drawing = drawn(pd.DataFrame({**ends, "heading_rad": heading}), stored)
+    drawing = cell_drawing(pd.DataFrame({**ends, "heading_rad": heading}), stored)
 
     assert drawing.lot.slots.shape == (1, 18, 3)
     assert drawing.lot.slot_size[0] == pytest.approx([6.0, (2.4 + 2.85) / 2])
@@ -482,7 +482,7 @@ def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored(
 
 def test_a_report_of_runs_without_paths_draws_the_lot_alone():
     nothing = pd.DataFrame({"run_id": [], "scene": [], "step": [], "outcome": []})
-    drawing = drawn(nothing, {"env.vehicles_count": 0, "env.add_walls": False})
+    drawing = cell_drawing(nothing, {"env.vehicles_count": 0, "env.add_walls": False})
     assert not drawing.walls
     assert drawing.lot.slots.shape == (1, 28, 3)
     assert drawing.paths.empty

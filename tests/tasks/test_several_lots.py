@@ -14,7 +14,7 @@ from parking_exp import compose, train
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.evaluation.agents import find_agent
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.parking_report import drawn, rates
+from parking_exp.tasks.parking.parking_report import cell_drawing, rates
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT
 from parking_exp.tasks.parking.stored_lot import stored_lot
@@ -128,7 +128,7 @@ def test_a_report_has_no_picture_by_slot_and_rates_by_number_of_cars():
     assert [row["vehicles"] for row in data["vehicles"]] == n_cars.tolist()
     assert [row["n"] for row in data["vehicles"]] == n_scenes.tolist()
     assert "slots" not in data
-    assert drawn(episodes, stored) is None
+    assert cell_drawing(episodes, stored) is None
 
 
 @pytest.fixture(scope="module")

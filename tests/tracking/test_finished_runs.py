@@ -15,7 +15,7 @@ from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.file_hashes import changed_files, write_summary
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import sync_problem
+from parking_exp.tracking.sync import complete_store
 
 
 def stored_files(directory):
@@ -77,7 +77,7 @@ def test_a_run_whose_damaged_file_is_restored_or_deleted_is_whole_again(finished
     for mend in (lambda: path.write_bytes(content), path.unlink):
         half(path)
         store = Store(finished.tracking_uri, finished.output_dir)
-        problem = sync_problem([finished], store)
+        problem = complete_store([finished], store)
         assert "metrics.jsonl changed after the run was finished" in problem
         mend()
         sync_stored(finished.output_dir)

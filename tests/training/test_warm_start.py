@@ -16,7 +16,7 @@ from torch.nn.utils import parameters_to_vector
 
 from parking_exp.config.compose import compose
 from parking_exp.errors import FailedRunError, ModelError, RunNotFoundError
-from parking_exp.evaluation.initial_agents import find_source, name_source
+from parking_exp.evaluation.init_sources import find_source, name_source
 from parking_exp.runs.atomic_files import sha256
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train

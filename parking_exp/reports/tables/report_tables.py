@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.report_section import Column, Row, Table, cell_record
+from parking_exp.report_section import Column, Row, Table, cell_row
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import CellSummary, ReportData
 from parking_exp.reports.reported_metrics import ReportedMetric, reported_metrics
@@ -17,7 +17,7 @@ from parking_exp.reports.tables.table import (
     PERCENT,
     cell_column,
     interval_column,
-    record,
+    row_of,
     text_column,
 )
 from parking_exp.tasks.metrics import STEPS
@@ -120,7 +120,7 @@ def seeds(report: ReportData) -> Iterator[Table]:
     rows = []
     for cell in report.cells:
         for seed in cell.seeds:
-            rows.append(cell_record(cell) | record(seed) | record(seed.metrics))
+            rows.append(cell_row(cell) | row_of(seed) | row_of(seed.metrics))
     yield Table(
         "seeds",
         rows,
@@ -165,7 +165,7 @@ def survival(report: ReportData) -> Iterator[Table]:
 def _list_points(cell: CellSummary, **numbers: Sequence[Any]) -> list[Row]:
     """Return a row for each point of a curve."""
     points: Any = pd.DataFrame(numbers).to_dict("records")
-    return [cell_record(cell) | point for point in points]
+    return [cell_row(cell) | point for point in points]
 
 
 def pairs(report: ReportData) -> Iterator[Table]:
@@ -173,7 +173,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
     rows = []
     for pair in report.pairs:
         labels = {"a_label": report.labels[pair.a], "b_label": report.labels[pair.b]}
-        rows.append(labels | record(pair))
+        rows.append(labels | row_of(pair))
     yield Table(
         "pairs",
         rows,
@@ -204,7 +204,7 @@ def factors(report: ReportData) -> Iterator[Table]:
     rows = []
     for effect in report.effects_by_size:
         highest, lowest = effect.extremes
-        row = record(effect)
+        row = row_of(effect)
         row["name"] = report.factor_names[effect.factor]
         row["highest"] = highest.level
         row["lowest"] = lowest.level
@@ -231,7 +231,7 @@ def effects(report: ReportData) -> Iterator[Table]:
     rows = []
     for effect in report.effects:
         for level in effect.levels:
-            rows.append(record(effect) | record(level))
+            rows.append(row_of(effect) | row_of(level))
     yield Table(
         "effects",
         rows,
@@ -271,7 +271,7 @@ def config(report: ReportData) -> Iterator[Table]:
         columns += [text_column(key, key, formats.display_setting) for key in difference]
         for number, cell in enumerate(report.cells):
             levels = {key: values[number] for key, values in difference.items()}
-            rows.append({**cell_record(cell), **levels})
+            rows.append({**cell_row(cell), **levels})
     yield Table(
         "config",
         rows,
@@ -302,7 +302,7 @@ def versions(report: ReportData) -> Iterator[Table]:
 
 def unfinished(report: ReportData) -> Iterator[Table]:
     """Yield the table of the runs without a result, and why."""
-    rows = [record(run) for run in report.provenance.unfinished]
+    rows = [row_of(run) for run in report.provenance.unfinished]
     yield Table(
         "unfinished",
         rows,
@@ -331,13 +331,13 @@ def common(report: ReportData) -> Iterator[Table]:
 def _list_cell_rows(report: ReportData) -> list[Row]:
     rows: list[Row] = []
     for cell in report.cells:
-        row = cell_record(cell)
+        row = cell_row(cell)
         # A run that is done may lack its rate.
         row["seeds"] = cell.success.n
         for stage, n_runs in cell.counts.items():
             row[f"runs_{stage}"] = n_runs
-        numbers = record(cell, without=("id", "label", "drawn"))
-        rows.append(row | numbers | record(cell.metrics))
+        numbers = row_of(cell, without=("id", "label", "drawn"))
+        rows.append(row | numbers | row_of(cell.metrics))
     return rows
 
 

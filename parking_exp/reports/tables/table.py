@@ -34,7 +34,7 @@ def without_constants(table: Table) -> Table:
     return replace(table, columns=columns, caption=caption)
 
 
-def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
+def row_of(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
     """Return the fields of a dataclass, or entries of a mapping, as columns of a row.
 
     An interval becomes NAME, NAME_low and NAME_high; another dataclass one column for each field,
@@ -48,7 +48,7 @@ def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dic
         if isinstance(value, Interval):
             row |= spread(prefix + name, value)
         elif is_dataclass(value):
-            row |= record(value, f"{prefix}{name}_")
+            row |= row_of(value, f"{prefix}{name}_")
         elif isinstance(value, str | int | float | None):
             row[prefix + name] = value
     return row

@@ -35,7 +35,7 @@ WALL = "#808286"
 
 
 @dataclass(frozen=True)
-class LotDrawing:
+class DrawnLot:
     """What figures show of a cell's lot."""
 
     lot: Scenes  # one scene, in the middle of all ranges

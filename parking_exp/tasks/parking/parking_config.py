@@ -80,8 +80,8 @@ class ActionConfig(ConfigModel):
 
     def range_of(self, name: str) -> Sequence[float]:
         """Return a range by its name, or highway-env's own."""
-        bounds: Sequence[float] = getattr(self, name) or RANGES[name]
-        return bounds
+        limits: Sequence[float] = getattr(self, name) or RANGES[name]
+        return limits
 
     def limit(self, name: str) -> float:
         """Return how far a range goes in both directions; at most 0 if it has only one."""

@@ -9,11 +9,11 @@ from typing import Any
 import pandas as pd
 
 from parking_exp.figure_style import SectionFigure
-from parking_exp.report_section import Section, Table, cell_record
+from parking_exp.report_section import Section, Table, cell_row
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.parking.lot import Lot, SeveralLots
 from parking_exp.tasks.parking.lot_figures import (
-    LotDrawing,
+    DrawnLot,
     draw_paths,
     draw_scene_map,
     draw_vehicle_rates,
@@ -78,7 +78,7 @@ def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, 
     return by_section
 
 
-def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing | None:
+def cell_drawing(paths: pd.DataFrame, config: Mapping[str, Any]) -> DrawnLot | None:
     """Return what figures show of a cell's lot; None if it has several, which no picture shows.
 
     Where slots differ from scene to scene, each path is moved, but not turned, so that its goal is
@@ -99,14 +99,14 @@ def drawn(paths: pd.DataFrame, config: Mapping[str, Any]) -> LotDrawing | None:
     scenes = lot.from_seeds(seeds.tolist())
     moves = typical.slots[0, scenes.goal] - scenes.goal_pose
     on_lot[["x_m", "y_m"]] += moves[numbers, :2]
-    return LotDrawing(typical, config.get("env.add_walls", True), on_lot)
+    return DrawnLot(typical, config.get("env.add_walls", True), on_lot)
 
 
 def _list_rates(name: str, report: Any) -> Iterator[Table]:
     """Yield the CSV of the rates that cells have by this name."""
     rows = []
     for cell in report.cells:
-        rows += [cell_record(cell) | row for row in cell.task_data.get(name, ())]
+        rows += [cell_row(cell) | row for row in cell.task_data.get(name, ())]
     yield Table(name, rows)
 
 
@@ -141,5 +141,5 @@ PARKING_REPORT = TaskReport(
         ),
     ],
     rates=rates,
-    drawn=drawn,
+    cell_drawing=cell_drawing,
 )
