@@ -129,13 +129,13 @@ def main() -> None:
 
 
 def _row(key: str, sign: str, bound: float, entry: dict[str, Any]) -> str:
-    value, values = entry["value"], f"{entry['lowest']:.4g} to {entry['highest']:.4g}"
-    met = value >= bound if sign == ">=" else value <= bound
+    value = entry["value"]
+    values = f"{entry['lowest']:.4g} to {entry['highest']:.4g}"
     target = f"{sign} {bound:g}"
-    return (
-        f"{key:<30}{value:>9.4g}  {values:<19}{target:<10}  "
-        f"{entry.get('peer', '')}{'' if met else '   MISSED'}"
-    )
+    is_met = value >= bound if sign == ">=" else value <= bound
+    missed = "" if is_met else "   MISSED"
+    peer = entry.get("peer", "")
+    return f"{key:<30}{value:>9.4g}  {values:<19}{target:<10}  {peer}{missed}"
 
 
 if __name__ == "__main__":

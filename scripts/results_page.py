@@ -185,7 +185,8 @@ class Experiment:
 
     def _pair(self, first: str, second: str) -> Pair:
         """Return the comparison of the first cell with the second."""
-        of_first, of_second = self.cell(first).id, self.cell(second).id
+        of_first = self.cell(first).id
+        of_second = self.cell(second).id
         for pair in self.report.pairs:
             if (pair.a, pair.b) == (of_first, of_second):
                 return pair

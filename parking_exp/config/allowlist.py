@@ -57,8 +57,7 @@ def check_trust(config: RunConfig, source: Path, option: str = "trust=true") -> 
     if unlisted is not None:
         raise UntrustedError(
             f"{unlisted} in {source} is not on the allow-list, and the run was not trained here; "
-            f"{option} allows it, "
-            "if you trust its author"
+            f"{option} allows it, if you trust its author"
         )
 
 

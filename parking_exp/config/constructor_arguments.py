@@ -257,24 +257,42 @@ def _parameter_problems(
         settable.pop(name, None)
     for name, value in given.items():
         path = f"{key}.{name}"
-        is_class = name in CLASS_ARGUMENTS
-        is_target = isinstance(class_path(value), str)
         if name in set_by_run:
             yield f"{path} is set by the run itself"
         elif name not in settable and not is_open:
             known = [*settable, *SECTION_KEYS.get(key, ())]
             yield f"{path}: there is no such key{suggestion(name, known)}"
-        elif is_class and value is not None and not is_target:
-            yield f"{path}={value!r} is not a class; give a dotted path or a node with a _target_"
-        elif is_target and (is_class or isinstance(value, Mapping)):
-            yield from _target_problems(path, value, CLASS_ARGUMENTS.get(name), partial=is_class)
-        elif name in settable or name in limits:  # a class that takes others passes them on
-            yield from _value_problems(path, name, value, settable.get(name), limits)
-    if partial:
-        return
+        else:
+            yield from _argument_problems(path, name, value, settable.get(name), limits)
+    if not partial:
+        yield from _missing_arguments(key, settable, given)
+
+
+def _missing_arguments(
+    key: str, settable: Mapping[str, inspect.Parameter], given: Mapping[str, Any]
+) -> Iterator[str]:
+    """Yield which parameters without a default are not given."""
     for name, parameter in settable.items():
         if parameter.default is inspect.Parameter.empty and name not in given:
             yield f"{key}.{name} is missing"
+
+
+def _argument_problems(
+    key: str,
+    name: str,
+    value: Any,
+    parameter: inspect.Parameter | None,
+    limits: Mapping[str, Any],
+) -> Iterator[str]:
+    """Yield what is wrong with an argument: a class, a node with a `_target_`, or a plain value."""
+    is_class = name in CLASS_ARGUMENTS
+    is_target = isinstance(class_path(value), str)
+    if is_class and value is not None and not is_target:
+        yield f"{key}={value!r} is not a class; give a dotted path or a node with a _target_"
+    elif is_target and (is_class or isinstance(value, Mapping)):
+        yield from _target_problems(key, value, CLASS_ARGUMENTS.get(name), partial=is_class)
+    elif parameter is not None or name in limits:  # a class that takes others passes them on
+        yield from _value_problems(key, name, value, parameter, limits)
 
 
 def _value_problems(

@@ -24,8 +24,8 @@ LAUNCHING = ("config", "tune")
 INSTEAD = {
     "launcher": "this command launches no runs; leave it out",
     "sweeper": (
-        "list the values on the command line, KEY=1,2, "
-        "or as cells: [{KEY: [1, 2]}] in an experiment file"
+        "list the values on the command line, KEY=1,2, or as cells: [{KEY: [1, 2]}] in an "
+        "experiment file"
     ),
     "job.env_set": "set environment variables in the shell, before the command",
     "job.chdir": "start the command in that directory, or set output_dir=DIR",

@@ -48,7 +48,8 @@ def launcher_of(
         ConfigError: it is unknown, not installed, set up wrongly or out of reach, or experiments
             name different ones.
     """
-    name, settings = runs[0].launcher, dict(runs[0].launcher_settings)
+    name = runs[0].launcher
+    settings = dict(runs[0].launcher_settings)
     if any((run.launcher, run.launcher_settings) != (name, settings) for run in runs):
         raise ConfigError(
             "these experiments have different launchers; name one with hydra/launcher=NAME"
@@ -59,22 +60,34 @@ def launcher_of(
         try:
             launcher_class: Any = get_class(settings["_target_"])
             if not issubclass(launcher_class, Plugin):
-                del settings["_target_"]
-                return launcher_class(**settings)
+                return _own_launcher(launcher_class, settings)
             if connect and name == "ray":
                 _connect_to_ray(settings)
-            loader = GlobalHydra.instance().config_loader()
-            lines = [*user_options(extra_config_dir), f"hydra/launcher={name}"]
-            config = loader.load_configuration("worker", lines, RunMode.MULTIRUN)
-            with open_dict(config):
-                config.hydra.launcher = settings
-            # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.
-            context = HydraContext(config_loader=loader, callbacks=cast(Any, Callback()))
-            return PluginLauncher(
-                name, Plugins.instance().instantiate_launcher(context, _train, config)
-            )
+            return _plugin_launcher(name, settings, extra_config_dir)
         except (ImportError, RuntimeError, TypeError) as error:
             raise _unusable(name, error) from error
+
+
+def _own_launcher(launcher_class: Any, settings: Mapping[str, Any]) -> Launcher:
+    """Return a launcher of this package, or of a user's, that is no plugin of Hydra."""
+    arguments = dict(settings)
+    del arguments["_target_"]
+    return launcher_class(**arguments)
+
+
+def _plugin_launcher(
+    name: str, settings: Mapping[str, Any], extra_config_dir: str | None
+) -> "PluginLauncher":
+    """Return a launcher that is a plugin of Hydra, made by Hydra from its settings."""
+    loader = GlobalHydra.instance().config_loader()
+    lines = [*user_options(extra_config_dir), f"hydra/launcher={name}"]
+    config = loader.load_configuration("worker", lines, RunMode.MULTIRUN)
+    with open_dict(config):
+        config.hydra.launcher = settings
+    # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.
+    context = HydraContext(config_loader=loader, callbacks=cast(Any, Callback()))
+    plugin = Plugins.instance().instantiate_launcher(context, _train, config)
+    return PluginLauncher(name, plugin)
 
 
 def _connect_to_ray(settings: Mapping[str, Any]) -> None:
@@ -95,7 +108,8 @@ class PluginLauncher:
     """A third-party launcher, a Hydra plugin; each of its jobs has one override, `run=PATH`."""
 
     def __init__(self, name: str, plugin: Plugin) -> None:
-        self.name, self._plugin = name, plugin
+        self.name = name
+        self._plugin = plugin
 
     def train(self, paths: Sequence[Path]) -> str | None:
         """Train runs as jobs of the plugin; return what broke, or how many jobs ended early."""

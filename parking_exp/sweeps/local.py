@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from parking_exp.errors import ConfigError
@@ -13,7 +14,7 @@ from parking_exp.resources import cores, cuda_devices, shares
 from parking_exp.sweeps.supervisor import WorkerResult, supervise
 from parking_exp.sweeps.worker_process import LOCAL_START_METHOD
 from parking_exp.terminal import say
-from parking_exp.training.signals import stop_on_signal
+from parking_exp.training.signals import StopRequest, stop_on_signal
 
 Train = Callable[[Path], WorkerResult]
 """Trains the run of a directory, and returns how it ended; `stopped` after a signal."""
@@ -63,19 +64,20 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
         stop_on_signal(lambda number, _: os._exit(128 + number)) as request,
         ThreadPoolExecutor(n_workers) as pool,
     ):
-
-        def start(some_cores: Sequence[int], device: str | None) -> None:
-            def train(path: Path) -> WorkerResult:
-                if request.is_made:
-                    return "stopped"
-                return supervise(
-                    path, lambda: request.is_made, some_cores, device, LOCAL_START_METHOD
-                )
-
-            work(train)
-
-        shared = zip(shares(cores(), n_workers), itertools.cycle(cuda_devices() or [None]))
-        futures = [pool.submit(start, *each) for each in shared]
+        devices = itertools.cycle(cuda_devices() or [None])
+        futures = []
+        for own_cores in shares(cores(), n_workers):
+            train = partial(_train_on, request, own_cores, next(devices))
+            futures.append(pool.submit(work, train))
     request.raise_if_made()
     for future in futures:
         future.result()
+
+
+def _train_on(
+    request: StopRequest, own_cores: Sequence[int], device: str | None, path: Path
+) -> WorkerResult:
+    """Train the run of a directory on the cores and the device of one worker."""
+    if request.is_made:
+        return "stopped"
+    return supervise(path, lambda: request.is_made, own_cores, device, LOCAL_START_METHOD)

@@ -126,8 +126,7 @@ def _refuse_two_evaluations(cells: Iterable[tuple[Path, RunConfig]]) -> None:
             if value != first[name]:
                 raise ConfigError(
                     f"evaluation.{name}={first[name]},{value}: the same runs can't have both; give "
-                    "one value, and "
-                    f"evaluate them on others with {program('evaluate')}"
+                    f"one value, and evaluate them on others with {program('evaluate')}"
                 )
 
 

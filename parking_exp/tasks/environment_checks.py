@@ -115,16 +115,15 @@ def _reward_problem(reward: GymnasiumReward, env_id: str) -> str | None:
         step = different[0]
         return (
             f"{env_id}: compute_reward gives {computed[step]:.6g} for a step of reward "
-            f"{rewards[step]:.6g}; if that is "
-            "a penalty for failure, set env.failure_key to the entry of info that reports it"
+            f"{rewards[step]:.6g}; if that is a penalty for failure, set env.failure_key to the "
+            "entry of info that reports it"
         )
     ignored = _ignored_goal(reward, computed)
     if ignored is not None:
         return (
             f"{env_id}: compute_reward ignores its {ignored}: whatever it is, {len(infos)} random "
-            "steps have the same "
-            "rewards; compute them from the arguments, not from a goal or a state that the "
-            "environment keeps"
+            "steps have the same rewards; compute them from the arguments, not from a goal or a "
+            "state that the environment keeps"
         )
     rows = np.array([[float(info[key]) for key in reward.info_keys] for info in infos])
     # Calls `compute_terminated`, whose error is then reported.

@@ -240,6 +240,5 @@ def _not_found(env_id: str, error: Exception) -> str:
         return f"env.id={env_id}: {module} registers no {name}{suggestion(name, gym.registry)}"
     return (
         f"env.id={env_id} is not registered with Gymnasium; if another package has it, name the "
-        "module that registers "
-        f"it: env.id=MODULE:{env_id}{suggestion(env_id, gym.registry)}"
+        f"module that registers it: env.id=MODULE:{env_id}{suggestion(env_id, gym.registry)}"
     )

@@ -112,7 +112,11 @@ def outcome(failure: str, failed: bool, is_success: bool) -> str:
     """Return how an episode ended; failing takes precedence over success, and is called
     `failure`.
     """
-    return failure if failed else "success" if is_success else "timeout"
+    if failed:
+        return failure
+    if is_success:
+        return "success"
+    return "timeout"
 
 
 def episode_columns(metrics: Sequence[Metric]) -> list[str]:

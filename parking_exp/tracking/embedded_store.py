@@ -30,8 +30,8 @@ from parking_exp.tracking.write_run import write_new_run
 
 FEW_RUNS = 20  # are written in a second or two
 MOVE_IT = (
-    "move it away, and the next command makes one from the run directories; "
-    "or name a store with tracking.uri="
+    "move it away, and the next command makes one from the run directories; or name a store with "
+    "tracking.uri="
 )
 
 

@@ -115,8 +115,8 @@ class SearchConfig(ConfigModel):
             if key.lstrip("+").partition(".")[0] not in HYPERPARAMETERS:
                 raise ValueError(
                     f"space has {key}, which is no hyperparameter; it may have n_envs, "
-                    "updates_per_step, and keys or "
-                    "options of algorithm, buffer and env (seeds are in tuning_seeds)"
+                    "updates_per_step, and keys or options of algorithm, buffer and env (seeds "
+                    "are in tuning_seeds)"
                 )
         return self
 

@@ -25,9 +25,14 @@ if TYPE_CHECKING:
     from optuna.samplers import BaseSampler
     from optuna.trial import FrozenTrial
 
-STUDY_FILE, CLAIM_LOCK, TRIALS_FOLDER = "study.journal", ".claiming", ".trials"
+STUDY_FILE = "study.journal"
+CLAIM_LOCK = ".claiming"
+TRIALS_FOLDER = ".trials"
 DEFINITION = "definition"  # attribute of a study
-RUNS, REASON, SEED_VALUES = "runs", "reason", "by_seed"  # attributes of a trial
+# Attributes of a trial.
+RUNS = "runs"
+REASON = "reason"
+SEED_VALUES = "by_seed"
 
 
 class OpenStudy(NamedTuple):

@@ -30,8 +30,10 @@ class Figure(NamedTuple):
 
 def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, Figure]:
     """Return all figures; sweeps use all given cores, everything else runs on one."""
-    step_s, few = 0.1 if quick else 0.5, min(rounds, 1 if quick else 3)
-    capacity, samples = (200_000, 20) if quick else (1_000_000, 1000)
+    step_s = 0.1 if quick else 0.5
+    few = min(rounds, 1 if quick else 3)
+    capacity = 200_000 if quick else 1_000_000
+    samples = 20 if quick else 1000
     return {
         "simulator.n512.ratio": Figure(
             ">=", 3000, partial(simulation.stepping, "parking", 512, rounds, step_s)
@@ -106,7 +108,8 @@ def _against_envpool(rounds: int, seconds_per_side: float) -> dict[str, Figure]:
 
 def _updates(rounds: int, *, quick: bool) -> dict[str, Figure]:
     """Return the figures of updates against Stable-Baselines3, then those against sbx."""
-    against_sb3, against_sbx = {}, {}
+    against_sb3 = {}
+    against_sbx = {}
     for net, bound in (("3x256", 1.6), ("2x64", 2.0)):
         for algorithm in ("sac", "td3", "ddpg"):
             measure = partial(updates, algorithm, net, rounds, quick=quick)

@@ -107,7 +107,8 @@ def _actions(n_scenes: int) -> np.ndarray:
 
 def evaluation(n_scenes: int, rounds: int) -> dict[str, Any]:
     """Time the evaluation of the pretrained agent on many scenes."""
-    policy, env = GreedyPolicy(load_model("pretrained")), compose().env
+    policy = GreedyPolicy(load_model("pretrained"))
+    env = compose().env
     times = [
         seconds(lambda: evaluate_policy(policy, make_task(env), range(n_scenes)))
         for _ in range(rounds + 1)

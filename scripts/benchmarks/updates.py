@@ -33,16 +33,25 @@ def updates(
         f"updates_per_step={gradient_steps / 8}",
         "algorithm.learning_starts=1000",
     ]
-    options += ["precision=medium"] if is_wide else []
-    # As in experiment=tutorial; sbx has no other features.
-    options += ["algorithm.features=raw"] if is_wide or peer == "sbx" else []
-    config, transitions = compose(*options), 2000 if quick else 10_000
+    if is_wide:
+        options.append("precision=medium")
+    if is_wide or peer == "sbx":
+        # As in experiment=tutorial; sbx has no other features.
+        options.append("algorithm.features=raw")
+    config = compose(*options)
+    transitions = 2000 if quick else 10_000
     ours = _filled(config, transitions)
     if peer == "sbx":
         theirs = _sbx_model(config, ours, gradient_steps)
     else:
         theirs = _filled(compose(*options, *sb3_classes(algorithm)), transitions)
-    calls = (4 if quick else 16 if is_wide else 80) // gradient_steps or 1
+    if quick:
+        n_updates = 4
+    elif is_wide:
+        n_updates = 16
+    else:
+        n_updates = 80
+    calls = max(1, n_updates // gradient_steps)
 
     def train(model: OffPolicyAlgorithm) -> float:
         for _ in range(calls):

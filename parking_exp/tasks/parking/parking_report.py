@@ -113,9 +113,9 @@ def _list_rates(name: str, report: Any) -> Iterator[Table]:
 PARKING_REPORT = TaskReport(
     methods=[
         "Success of parking is highway-env's: close to the goal slot, at any speed. Parked is "
-        "stricter: all corners "
-        "inside the slot's lines, heading within 10°, slower than 0.5 m/s. On other lots than "
-        "highway-env's, success is parked. Crash and timeout are the other ways to end.",
+        "stricter: all corners inside the slot's lines, heading within 10°, slower than 0.5 m/s. "
+        "On other lots than highway-env's, success is parked. Crash and timeout are the other ways "
+        "to end.",
         "The planner (algorithm=planner) knows the map of each scene: slots, cars, walls and "
         "obstacles. Other agents know what env.observation shows them.",
     ],
