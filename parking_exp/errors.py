@@ -17,9 +17,7 @@ class ParkingError(Exception):
 
 
 class ConfigError(ParkingError, ValueError):
-    """A config that cannot run. Each line is one sentence: which key, what is wrong, what to type
-    instead.
-    """
+    """A config that can't run; each line is a sentence: the key, what is wrong, what to type."""
 
 
 class RunNotFoundError(ParkingError, LookupError):
@@ -31,9 +29,7 @@ class UntrustedError(ParkingError):
 
 
 class ModelError(ParkingError):
-    """A model file that is damaged or does not fit the model, or a class whose files do not contain
-    all weights.
-    """
+    """A model file that is damaged or does not fit, or a class whose files lack some weights."""
 
 
 class OutputDirectoryError(ParkingError):

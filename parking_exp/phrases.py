@@ -21,9 +21,7 @@ def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
 
 
 def suggestion(word: str, choices: Iterable[str]) -> str:
-    """Return `; did you mean 'x'?`, or the choices when none is close and they are few, or
-    nothing.
-    """
+    """Return `; did you mean 'x'?`, or the choices if few and none is close, or nothing."""
     names = sorted(set(choices))
     few = f"; choose from {', '.join(map(quoted_label, names))}" if 0 < len(names) <= 30 else ""
     return did_you_mean(word, names) or few

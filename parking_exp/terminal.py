@@ -1,6 +1,4 @@
-"""Print text on a terminal that may go away, with control characters escaped: text from a run may
-be hostile.
-"""
+"""Print on a terminal that may go away; escape control characters of text that may be hostile."""
 
 import os
 import sys
@@ -17,9 +15,7 @@ WIDE = 1000  # columns of a file or pipe, where lines are not wrapped
 
 
 def printable(line: str) -> str:
-    r"""Return a line with unprintable or unencodable characters escaped, e.g. `\x1b`, `\n`,
-    `\u202e`.
-    """
+    r"""Return a line with what can't be printed or encoded escaped, e.g. `\x1b`, `\n`, `\u202e`."""
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
@@ -65,9 +61,7 @@ class _UnfailingStream:
 
 @contextmanager
 def unfailing_output() -> Iterator[None]:
-    """Let no write to the standard streams fail while the block runs: a run is worth more than its
-    output.
-    """
+    """Let no write to the standard streams fail in a block: a run is worth more than its output."""
     streams = sys.stdout, sys.stderr
     make_output_unfailing()
     try:
@@ -107,9 +101,7 @@ def open_standard_streams() -> None:
 
 
 def drop_unwritten_output() -> None:
-    """Drop what the standard streams could not write: Python would try again at its exit, and
-    fail.
-    """
+    """Drop what the standard streams couldn't write: Python would retry at its exit, and fail."""
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
@@ -136,9 +128,7 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def is_script() -> bool:
-    """Return whether this process is one of our scripts in a clone, and not an installed command or
-    a user's Python.
-    """
+    """Return whether this process is our script in a clone, not a command or a user's Python."""
     program = Path(sys.argv[0])
     return program.suffix == ".py" and program.stem in COMMANDS
 

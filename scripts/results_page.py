@@ -103,9 +103,7 @@ class Experiment:
         return formats.rate_interval(self.cell(label).metrics[metric])
 
     def seeds(self, label: str, metric: str = "success") -> str:
-        """Return the mean rate of a cell with its lowest and highest seed, e.g. `94.4 % (90.1 to
-        100.0 %)`.
-        """
+        """Return a cell's mean rate (lowest to highest seed), e.g. `94.4 % (90.1 to 100.0 %)`."""
         cell = self.cell(label)
         low, high = _ends(cell, metric)
         return f"{formats.rate_text(cell.metrics[metric].value)} ({low} to {high} %)"
@@ -124,16 +122,12 @@ class Experiment:
         return f"{np.count_nonzero(rates >= threshold)}/{len(rates)}"
 
     def difference(self, first: str, second: str) -> str:
-        """Return the difference in success of two cells, e.g. `+9.1 points [+4.0, +14.2], p =
-        0.012`.
-        """
+        """Return two cells' difference in success, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
         pair = self._pair(first, second)
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_corrected)}"
 
     def verdict(self, first: str, second: str) -> str:
-        """Return the verdict on the difference in success of two cells, and its points, e.g.
-        `▲ +9.1`.
-        """
+        """Return the verdict on two cells' difference in success, and its points, e.g. `▲ +9.1`."""
         pair = self._pair(first, second)
         mark = formats.VERDICTS[pair.verdict].mark
         return f"{mark} {formats.points(pair.difference.value)}"
@@ -218,9 +212,7 @@ class Experiment:
         return _table(headings, [COLUMNS[name][0] for name in columns], rows)
 
     def grid(self, row: str, column: str) -> str:
-        """Return a Markdown table of success by two config keys, in percent; cells without one of
-        them are left out.
-        """
+        """Return success by two config keys as a Markdown table, in percent, of cells with both."""
         rates: dict[tuple[str, str], str] = {}
         for cell in self.report.cells:
             value = self._setting(cell, row)
@@ -321,9 +313,7 @@ def _experiment(folder: Path) -> Experiment:
 
 
 def _readme(experiments: dict[str, Experiment]) -> str:
-    """Return README with its parts between `<!-- results: NAME -->` and `<!-- end of results -->`
-    filled in.
-    """
+    """Return README, filled in from `<!-- results: NAME -->` to `<!-- end of results -->`."""
 
     def fill(match: re.Match[str]) -> str:
         text = _rendered(match["name"], experiments).strip()

@@ -1,5 +1,4 @@
-"""Save and load the weights of actors and critics as safetensors: nothing in such a file can be
-executed.
+"""Save and load the weights of actors and critics as safetensors, which can execute nothing.
 
 Policies of different classes can have weights of the same names and shapes, so the file's metadata
 names the classes of the policy and of its features extractor.

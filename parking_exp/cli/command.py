@@ -118,9 +118,7 @@ def fail(error: ParkingError) -> NoReturn:
 
 
 def _print_help(config_name: str, overrides: list[str]) -> None:
-    """Print Hydra's help, with the names that commands and `conf/` have where the package was
-    installed.
-    """
+    """Print Hydra's help, with the names that commands and `conf/` have in this installation."""
     sys.argv[1:] = ["--help", *overrides]
     output = io.StringIO()
     hydra_app = hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)

@@ -44,8 +44,7 @@ def sync_results(request: EvaluationRequest, directory: RunDirectory) -> None:
 
 
 def read_overrides(words: list[str]) -> list[str]:
-    """Return words as overrides: without an option of `env`, `env.KEY` changes the env of the
-    agent's training.
+    """Return words as overrides; `env.KEY` without `env` changes the env of the agent's training.
 
     Raises:
         ConfigError: a word is a key of training, which options of `env` add to the config, or of

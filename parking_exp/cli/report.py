@@ -32,8 +32,7 @@ def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
 
 
 def read_overrides(words: list[str]) -> list[str]:
-    """Return Hydra's overrides for the words after `report.py`: words that are not a key of this
-    command name cells.
+    """Return Hydra's overrides for the words after `report.py`: all words but its keys name cells.
 
     Labels of cells have commas, equal signs and spaces, which have another meaning for Hydra.
     """

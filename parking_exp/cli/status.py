@@ -1,6 +1,4 @@
-"""`scripts/status.py` and `parking-status`: show the progress of runs, read from their
-directories.
-"""
+"""`scripts/status.py` and `parking-status`: show the progress of runs from their directories."""
 
 import json
 import time

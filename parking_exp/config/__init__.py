@@ -1,3 +1,1 @@
-"""The schema of a run's config, composing it from conf/, and checking it; nothing here imports
-torch.
-"""
+"""The schema of a run's config, how it is composed and checked; nothing here imports torch."""

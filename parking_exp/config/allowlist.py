@@ -71,9 +71,7 @@ def unlisted_class(config: RunConfig) -> str | None:
 
 
 def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield what nested containers would import, with its key: each `_target_` and each class
-    argument.
-    """
+    """Yield what nested containers would import, with its key: `_target_` and class arguments."""
     children: Iterable[tuple[Any, Any]] = ()
     if isinstance(node, Mapping):
         children = node.items()

@@ -1,6 +1,4 @@
-"""Ranges and choices of well-known arguments of third-party classes, which their signatures do not
-state.
-"""
+"""Ranges and choices of well-known third-party arguments, which signatures do not state."""
 
 import math
 from typing import Annotated, Any, Literal

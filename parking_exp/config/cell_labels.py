@@ -1,5 +1,4 @@
-"""Label cells by the differences between their resolved configs, in plans, status and reports
-alike.
+"""Label cells by the differences between their resolved configs, in plans, status and reports.
 
 A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are not
 separate factors. Keys that always change together count once. A `label` in the configs takes the
@@ -61,9 +60,7 @@ def encode_setting(value: Setting) -> str:
 
 
 def decode_setting(text: str | None) -> Setting:
-    """Return the setting that a text stands for: None, a bool, a number or a text; lists and
-    mappings are text.
-    """
+    """Return what a text means: None, a bool, a number or a text, as are lists and mappings."""
     if text is None or text == "None":
         return None
     if text in ("True", "False"):
@@ -97,8 +94,7 @@ def differing_keys(configs: Sequence[FlatConfig]) -> list[str]:
 def find_factors(
     configs: Sequence[FlatConfig], experiments: Sequence[str]
 ) -> tuple[list[Factor], list[dict[str, Setting]]]:
-    """Return the factors of cells, given the config and the experiment of each, and the value of
-    each factor by cell.
+    """Return the factors of cells from their configs and experiments, and their values by cell.
 
     The value is None if a cell's config has no such key.
     """

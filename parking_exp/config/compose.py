@@ -46,9 +46,7 @@ VERSION_BASE = "1.3"
 
 @dataclass(frozen=True)
 class ComposedRun:
-    """One run: the config of its cell as Hydra composed it, its seed, the options of groups, and
-    the launcher.
-    """
+    """A run: its cell's config as Hydra composed it, its seed, options of groups and launcher."""
 
     cell_config: DictConfig  # shared by all runs of the cell
     seed: int | None = None  # None: the config's own
@@ -264,9 +262,7 @@ OmegaConf.register_new_resolver("level", value_of_level, replace=True)
 
 
 def user_options(extra_config_dir: str | None) -> list[str]:
-    """Return the override that adds a directory of the user's own options to Hydra's search path,
-    after ours.
-    """
+    """Return the override that adds a user's folder of options to the search path, after ours."""
     if extra_config_dir is None:
         return []
     return [f"hydra.searchpath=[{in_quotes(str(Path(extra_config_dir).absolute()))}]"]
@@ -274,9 +270,7 @@ def user_options(extra_config_dir: str | None) -> list[str]:
 
 @contextmanager
 def hydra_ready() -> Iterator[None]:
-    """Initialize Hydra with our tree; errors of Hydra and OmegaConf become a ConfigError of one
-    sentence.
-    """
+    """Initialize Hydra with our tree; turn its and OmegaConf's errors into a sentence each."""
     # We may be called within a Hydra app, such as a benchmark or a user's own.
     outer = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
@@ -298,9 +292,7 @@ def hydra_ready() -> Iterator[None]:
 
 
 def _sentence(error: Exception) -> str:
-    """Return what Hydra, OmegaConf or the YAML parser say in one line, with the closest name for an
-    unknown one.
-    """
+    """Return what Hydra, OmegaConf or YAML say in a line, and a name close to an unknown one."""
     if isinstance(error, OverrideParseException):
         return (
             f"{error.override}: can't be parsed; write KEY=VALUE, KEY=[1,2] for a list, \"KEY='a "

@@ -47,9 +47,7 @@ def check_hydra_overrides(config_name: str, overrides: Iterable[str]) -> None:
 
 
 def check_hydra_settings(config_name: str, composed: DictConfig, plain: DictConfig) -> None:
-    """Refuse settings of composed files that are not read, given what this package's files set;
-    raises as above.
-    """
+    """Refuse unread settings of composed files, given what our files set; raises as above."""
     given = _settings(composed)
     ours = _settings(plain)
     for key in {**given, **ours}:

@@ -21,9 +21,7 @@ WORD = re.compile(r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+""")
 
 
 def config_dir() -> Path:
-    """Return the directory of the Hydra tree: inside the package in a wheel, at the repository's
-    top otherwise.
-    """
+    """Return the Hydra tree's directory: the package's in a wheel, else at the repository's top."""
     package = Path(__file__).resolve().parents[1]
     inside = package / "conf"
     return inside if inside.is_dir() else package.parent / "conf"
@@ -41,9 +39,7 @@ def without_quotes(value: str) -> str:
 
 
 def to_hydra_syntax(argument: str) -> str:
-    """Return an override in Hydra's grammar: a path in quotes, an experiment file as an option
-    relative to `conf/`.
-    """
+    """Return an override in Hydra's grammar: quoted paths, experiment files relative to `conf/`."""
     key, equals, value = argument.partition("=")
     if key == "experiment" and value.endswith(".yaml"):
         path = Path(value).expanduser()
@@ -83,9 +79,7 @@ def parse_overrides(overrides: Iterable[str]) -> list[Override]:
 
 
 def numbers_as_text(value: str) -> str:
-    """Quote the words of a value that Hydra's grammar would read as numbers or booleans: `0.10`
-    stays `0.10`.
-    """
+    """Quote words of a value that Hydra would read as numbers or booleans: `0.10` stays `0.10`."""
 
     def quote(match: re.Match[str]) -> str:
         word = match[0].strip()
@@ -101,9 +95,7 @@ def numbers_as_text(value: str) -> str:
 
 
 def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
-    """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the
-    last.
-    """
+    """Return the values of each key in Hydra's syntax; the last override of a key counts."""
     axes = {}
     for override in parse_overrides(map(_labels_as_text, overrides)):
         _refuse_long_range(override)

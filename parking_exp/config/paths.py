@@ -1,6 +1,4 @@
-"""Paths and URIs of output directories, runs and stores, stored relative so that an output
-directory can be moved.
-"""
+"""Paths and URIs of outputs, runs and stores, relative so that an output directory can move."""
 
 import os
 import re
@@ -70,9 +68,7 @@ def default_uri(output_dir: Path) -> str:
 
 
 def absolute(uri: str, base: Path | None = None) -> str:
-    """Return a URI with its sqlite path made absolute, relative to a base directory or the working
-    directory.
-    """
+    """Return a URI with an absolute sqlite path, from a base or the working directory."""
     path = database(uri)
     return uri if path is None else f"{SQLITE}{directory_path((base or Path()) / path)}"
 
@@ -115,9 +111,7 @@ def is_same_store(uri: str, other_uri: str) -> bool:
 
 
 def resolved(path: Path) -> Path:
-    """Return a path with all symbolic links followed; unlike `Path.resolve`, it accepts links to
-    themselves.
-    """
+    """Return a path with all links followed; unlike `Path.resolve`, accept links to themselves."""
     return Path(os.path.realpath(path))
 
 
@@ -127,8 +121,7 @@ def lies_inside(path: Path, folder: Path) -> bool:
 
 
 def refuse_links(paths: Iterable[Path], folder: Path) -> None:
-    """Refuse symbolic links out of a folder: files elsewhere would be read, written or sent to a
-    store.
+    """Refuse symbolic links out of a folder: files elsewhere would be read, written or sent.
 
     Links that lead nowhere, pipes and devices are refused as well: opening a pipe waits for ever.
 

@@ -1,5 +1,4 @@
-"""Validate a config: types, ranges and rules between keys, then the arguments of third-party
-classes.
+"""Validate a config: types, ranges, rules between keys, then arguments of third-party classes.
 
 Every error is one sentence that names the key and what is wrong. Our own keys are checked without
 importing torch or mlflow; the third-party classes, and torch with them, are imported after that.
@@ -48,9 +47,7 @@ def validate(config: Config | RunConfig) -> RunConfig:
 
 
 def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
-    """Validate composed configs: our own keys of all, then the arguments of their classes; raises
-    as `validate`.
-    """
+    """Validate configs: our keys of all, then the arguments of classes; raises as `validate`."""
     runs = []
     for config in configs:
         runs.append(parse(RunConfig, config, without=SWEEP_KEYS))

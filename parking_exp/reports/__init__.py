@@ -1,3 +1,1 @@
-"""Reports that compare the cells of an experiment: numbers, findings, figures and pages from
-results.
-"""
+"""Reports that compare the cells of an experiment: numbers, findings, figures and pages."""

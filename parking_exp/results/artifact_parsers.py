@@ -72,9 +72,7 @@ def config_reader() -> Callable[[bytes], FlatConfig]:
 
 
 def read_points(log: bytes) -> list[dict[str, Any]]:
-    """Return the points of curves in the content of a `metrics.jsonl`, by step; any error means
-    that it is damaged.
-    """
+    """Return the points of curves in a `metrics.jsonl`'s content, by step; errors mean damage."""
     points: dict[int, dict[str, Any]] = {}
     for record in map(json.loads, log.splitlines()):
         values = {}

@@ -118,9 +118,7 @@ def without_paths(words: str) -> str:
 
 
 def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return runs without columns that name a place, with the config as text, like MLflow's
-    parameters.
-    """
+    """Return runs without columns that name a place, with the config as text, as MLflow has it."""
     kept = runs.drop(columns=[*LOCAL_COLUMNS], errors="ignore")
     config = kept.filter(regex=r"^config\.").astype(object)
     kept = kept.assign(**config.where(config.notna(), None).map(encode_setting))
@@ -129,17 +127,13 @@ def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _exported_outcomes(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Return the outcomes of final episodes, with a column for each run: equal columns compress to
-    almost nothing.
-    """
+    """Return outcomes of final episodes, a column for each run: equal columns compress well."""
     final = episodes[episodes["phase"] == "final"].astype({"run_id": str})
     return final.pivot(index=EPISODE_SEED, columns="run_id", values="outcome").reset_index()
 
 
 def _without_unknown(frame: pd.DataFrame, metrics: Iterable[str]) -> pd.DataFrame:
-    """Return a frame without the metrics that none of its runs has, such as other tasks'; reading
-    adds them again.
-    """
+    """Return a frame without the metrics that none of its runs has; reading adds them again."""
     unknown = [name for name in metrics if name in frame and frame[name].isna().all()]
     return frame.drop(columns=unknown)
 

@@ -77,9 +77,7 @@ def _no_paths() -> pd.DataFrame:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """Runs of a store and what they logged, as the frames that `help(parking_exp.results)`
-    describes.
-    """
+    """Runs of a store and what they logged; `help(parking_exp.results)` describes the frames."""
 
     runs: pd.DataFrame = field(repr=False)
     curves: pd.DataFrame = field(repr=False)
@@ -194,9 +192,7 @@ def _is_from_this_package(run: "Run") -> bool:
 
 
 def setting_column(values: Sequence[Setting]) -> pd.Series:
-    """Return the values of a config key as a column; where some are None, all stay Python
-    objects.
-    """
+    """Return the values of a config key as a column, of Python objects if some are None."""
     dtype = object if None in values else None
     return pd.Series(values, dtype=dtype)
 
@@ -245,9 +241,7 @@ def _with_configs(runs: pd.DataFrame, configs: Mapping[str, FlatConfig]) -> pd.D
 
 
 def _count(value: Setting) -> int | None:
-    """Return a setting that is a number of steps or episodes; a file of others may have
-    anything.
-    """
+    """Return a setting that counts steps or episodes; files of others may have anything."""
     if isinstance(value, int) and 0 <= value < 2**63:
         return value
     return None
@@ -280,9 +274,7 @@ def _make_episodes(tables: Mapping[str, pd.DataFrame], run_ids: pd.Series) -> pd
 
 
 def _concatenate(tables: Mapping[str, pd.DataFrame], none: pd.DataFrame) -> pd.DataFrame:
-    """Return the tables of runs, which are given by run id, with the columns and types of `none`,
-    also where there is no table.
-    """
+    """Return the tables of runs by run id as one, with columns and types of `none` if empty."""
     parts = [table.assign(run_id=run_id) for run_id, table in tables.items()]
     return pd.concat([none, *parts], ignore_index=True)
 
@@ -333,9 +325,7 @@ def _read_files(
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
-    """Yield a sentence for each run that occurs more than once, e.g. from two output directories
-    with one store.
-    """
+    """Yield a sentence for each run that is there twice, e.g. of directories that share a store."""
     numbers = runs.groupby(["experiment", "cell", "seed"], sort=False).size()
     for key, number in numbers[numbers > 1].items():
         experiment, cell, seed = cast(tuple[str, str, int], key)

@@ -1,5 +1,4 @@
-"""The record of the runs that this user has trained on this machine, whose classes are therefore
-trusted.
+"""The record of runs that this user trained on this machine, whose classes are trusted.
 
 It lies in the user's state directory, and not in run directories: these may come from others. An
 entry is a hash of a run's real path and its config, so that neither a copy elsewhere nor another
@@ -18,8 +17,7 @@ from parking_exp.runs.run_files import CONFIG_FILE
 
 
 def record_training(run_dir: Path, config: RunConfig) -> None:
-    """Record that a run is trained here, if its config names classes that are not on the
-    allow-list.
+    """Record that a run is trained here, if its config has classes that are not on the allow-list.
 
     A user without a writable state directory has no record, and passes `trust=true`.
     """

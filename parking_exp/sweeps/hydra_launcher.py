@@ -36,8 +36,7 @@ class Launcher(Protocol):
 def launcher_of(
     runs: Sequence[ComposedRun], extra_config_dir: str | None = None, *, connect: bool = False
 ) -> Launcher:
-    """Return the launcher that the command line or the experiment file of runs names, with its
-    settings checked.
+    """Return the launcher that a command line or its experiment file names, with checked settings.
 
     Args:
         runs: the runs of one sweep.

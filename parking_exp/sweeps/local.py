@@ -1,6 +1,4 @@
-"""The local launcher: worker processes on this machine, each with its own cores and CUDA
-devices.
-"""
+"""The local launcher: worker processes on this machine, each with own cores and CUDA devices."""
 
 import itertools
 import os

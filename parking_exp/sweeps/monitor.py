@@ -1,6 +1,4 @@
-"""Live view of runs, read from their directories: a line for each event, and on a terminal one for
-each running run.
-"""
+"""Live view of runs from their directories: a line per event, on a terminal one per running run."""
 
 import threading
 from collections.abc import Callable, Sequence

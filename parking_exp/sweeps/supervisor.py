@@ -1,5 +1,4 @@
-"""Supervise a run: start its worker process, wait for it, and record in the run directory how it
-ended.
+"""Supervise a run: start its worker process, wait for it, and record in the directory how it ended.
 
 All launchers train runs like this. If the supervisor dies, its worker dies with it.
 """
@@ -90,9 +89,7 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: Stop) -> WorkerR
 def _wait(
     process: WorkerProcess, timeout_s: float | None, stop: Stop
 ) -> Literal["late", "stopped"] | None:
-    """Wait for a worker, and end it if it takes too long or is to stop; return which of these it
-    was.
-    """
+    """Wait for a worker; end it if it is too slow or is to stop; return which of these it was."""
     cause: Literal["late", "stopped"] | None = None
     deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
     while process.exit_status is None:
@@ -115,9 +112,7 @@ def _wait(
 def _result(
     directory: RunDirectory, code: int, cause: str | None, timeout_s: float | None
 ) -> WorkerResult:
-    """Return how a run ended, from its worker's exit status and its status.json, and record it
-    there.
-    """
+    """Return how a run ended, from its worker's exit status and status.json, and record it."""
     status = directory.status
     killed = False
     if status == "done":

@@ -65,9 +65,7 @@ class PlannedRun:
 
     @cached_property
     def needs_evaluation(self) -> bool:
-        """Whether it is finished, but was evaluated with other settings than those of this
-        sweep.
-        """
+        """Whether it is finished, but was evaluated with settings other than this sweep's."""
         return self.state.stage == "done" and RunDirectory(self.path).needs_evaluation(self.config)
 
     @cached_property
@@ -237,9 +235,7 @@ def _write_plan(runs: Sequence[PlannedRun]) -> None:
 
 
 def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
-    """Launch what is due, wait for runs that other sweeps have taken, and resume those left
-    unfinished.
-    """
+    """Launch what is due, wait for runs of other sweeps, and resume those left unfinished."""
     while due:
         free = [path for path in due if read_state(path).stage != "running"]
         if free:

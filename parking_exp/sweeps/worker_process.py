@@ -1,6 +1,4 @@
-"""Worker processes: forked from a server that has imported torch, or fresh where a fork is
-unsafe.
-"""
+"""Worker processes: forked from a server with torch imported, or fresh where forks are unsafe."""
 
 import multiprocessing
 import os
@@ -99,9 +97,7 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 @contextmanager
 def _hidden_program() -> Iterator[None]:
-    """Hide the program of this process from `multiprocessing`, which would run a user's script
-    again in a worker.
-    """
+    """Hide this process's program from `multiprocessing`: workers would rerun a user's script."""
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:

@@ -1,3 +1,1 @@
-"""Tasks: the interface, parking-v0 with its vectorized simulator, and any goal environment of
-Gymnasium.
-"""
+"""Tasks: the interface, parking-v0 with a vectorized simulator, Gymnasium's goal environments."""

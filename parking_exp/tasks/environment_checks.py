@@ -92,9 +92,7 @@ def _info_problem(reward: GymnasiumReward, env_id: str) -> str | None:
 
 
 def _reward_problem(reward: GymnasiumReward, env_id: str) -> str | None:
-    """Return how `compute_reward`, called for all random steps at once, differs from their
-    rewards.
-    """
+    """Return how `compute_reward`, called once for all random steps, differs from their rewards."""
     failure_key = reward.config.failure_key
     achieved, desired, rewards, infos = reward.steps
     try:
@@ -137,9 +135,7 @@ def _reward_problem(reward: GymnasiumReward, env_id: str) -> str | None:
 
 
 def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
-    """Return which of the two goals never changes the rewards of random steps, `computed`, not even
-    far away.
-    """
+    """Return which goal never changes the rewards of random steps, `computed`, even far away."""
     achieved, _, _, infos = reward.steps
     far = (achieved + FAR).astype(achieved.dtype)
     try:

@@ -19,7 +19,5 @@ class SymmetricFeatures(TaskFeatures):
     """
 
     def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return actions, shape (batch, actions), some with the opposite sign where the observation
-        is mirrored.
-        """
+        """Return actions, (batch, actions), some negated where the observation is mirrored."""
         raise NotImplementedError

@@ -1,6 +1,4 @@
-"""Goal environments of Gymnasium: made from a config, with the entries of `info` and the reward
-that HER needs.
-"""
+"""Goal environments of Gymnasium from a config, with the `info` and reward that HER needs."""
 
 import importlib
 import importlib.util
@@ -53,9 +51,7 @@ class GoalInfo(gym.Wrapper):
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def close(self) -> None:
-        """Close the env, and the one of its reward. Errors are ignored: all that was asked of the
-        env is done.
-        """
+        """Close the env and that of its reward; errors are ignored: all that was asked is done."""
         with suppress(Exception):
             self.env.close()
         self.goal_reward.close()
@@ -73,9 +69,7 @@ class GymnasiumReward(GoalReward):
 
     @cached_property
     def env(self) -> gym.Env:
-        """Environment whose `compute_reward` is called; made late, since this object is pickled for
-        other processes.
-        """
+        """Env for `compute_reward`; made late, as this object is pickled for other processes."""
         return make_env(self.config)
 
     def close(self) -> None:
@@ -85,9 +79,7 @@ class GymnasiumReward(GoalReward):
 
     @cached_property
     def steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Return the steps of `random_steps`, and leave the environment at the start of an
-        episode.
-        """
+        """Return the steps of `random_steps`; leave the environment at the start of an episode."""
         assert isinstance(self.env, GoalInfo)
         steps = random_steps(self.env.env)
         self.env.reset(seed=0)
@@ -95,9 +87,7 @@ class GymnasiumReward(GoalReward):
 
     @cached_property
     def terminates(self) -> bool:
-        """Whether an episode ends where its goal is reached, as `compute_terminated` of the
-        environment says.
-        """
+        """Whether episodes end where the goal is reached, as `compute_terminated` says."""
         _, (goal, *_), _, (info, *_) = self.steps
         return bool(self._compute_terminated(goal, goal, info))
 
@@ -150,9 +140,7 @@ class GymnasiumReward(GoalReward):
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape
-        (n, info_keys).
-        """
+        """Return reward and whether the goal is reached, shape (n,); `info` is (n, info_keys)."""
         rows = np.empty((len(desired), 0)) if info is None else info
         infos = [dict(zip(self.info_keys, row.tolist(), strict=False)) for row in rows]
         reward = self.compute(achieved, desired, infos)

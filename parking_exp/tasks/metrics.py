@@ -29,9 +29,7 @@ class Episode:
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric of evaluation episodes, of which an evaluation has the rate (of a bool) or the mean
-    (of a number).
-    """
+    """A metric of evaluation episodes, reported as the rate of a bool or the mean of a number."""
 
     name: str  # of its column in `episodes.csv`; outcomes share the column `outcome`
     # Its value, computed from an episode that has ended.
@@ -109,9 +107,7 @@ GYMNASIUM_METRICS: tuple[Metric, ...] = (
 
 
 def outcome(failure: str, failed: bool, is_success: bool) -> str:
-    """Return how an episode ended; failing takes precedence over success, and is called
-    `failure`.
-    """
+    """Return how an episode ended; failing, called `failure`, takes precedence over success."""
     if failed:
         return failure
     if is_success:

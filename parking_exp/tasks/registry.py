@@ -1,6 +1,4 @@
-"""Registry of tasks: the `env` group and the metrics of all of them, and the task and report of
-each.
-"""
+"""Registry of tasks: the `env` group and metrics of all, and the task and report of each."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping

@@ -59,9 +59,7 @@ class GoalReward(ABC):
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape
-        (n, info_keys).
-        """
+        """Return reward and whether the goal is reached, shape (n,); `info` is (n, info_keys)."""
 
 
 class Policy(ABC):

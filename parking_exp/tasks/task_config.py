@@ -59,9 +59,7 @@ class TaskConfig(ConfigModel):
         yield from ()
 
     def change_problems(self, changes: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each change, by key, that an evaluation can't make to the env of a
-        stored run.
-        """
+        """Yield why an evaluation can't make a change, by key, to the env of a stored run."""
         yield from ()
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:

@@ -1,5 +1,4 @@
-"""Connect to an MLflow store: without hanging, and with a lock that the writers of an embedded
-store share.
+"""Connect to an MLflow store without hanging, with a lock that an embedded store's writers share.
 
 The embedded store is a sqlite database. It takes one writer at a time, and MLflow has a second one
 wait for 20 s before it fails with "database is locked", so our writers queue for a lock file beside
@@ -120,9 +119,7 @@ def lock_path(path: Path) -> Path:
 
 
 def _make_database(path: Path) -> None:
-    """Make an empty store under another name and rename it, as MLflow's migrations are not atomic
-    in sqlite.
-    """
+    """Make an empty store by renaming a new one: MLflow's migrations are not atomic in sqlite."""
     from mlflow import MlflowClient
 
     new = path.with_name(f".{path.name}.new")

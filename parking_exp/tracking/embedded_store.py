@@ -1,5 +1,4 @@
-"""The store inside of an output directory, which is made again from the run directories if it can't
-be used.
+"""The store inside an output directory, made again from run directories if it can't be used.
 
 It can't be used if it is missing, if its creation was interrupted, or if the output directory was
 moved or copied: MLflow keeps absolute locations of artifacts, which its client can't change. A
@@ -36,8 +35,7 @@ MOVE_IT = (
 
 
 def prepare(store: Store) -> None:
-    """Make the store inside of an output directory again from the run directories, if it can't be
-    used.
+    """Make an output directory's store again from its run directories, if it can't be used.
 
     Raises whatever MLflow, SQLAlchemy or the disk raise.
     """

@@ -79,9 +79,7 @@ class Store:
         return uri is not None and is_same_store(uri, self.uri)
 
     def refuse_link(self) -> None:
-        """Raise StoreError if its file is a link that leads out of the output directory that it is
-        in.
-        """
+        """Raise StoreError if its file is a link that leads out of its output directory."""
         path = self._database
         root = self._own_directory
         if path and root and not lies_inside(path, root):
@@ -104,18 +102,14 @@ class Store:
         return {experiment.name: experiment.experiment_id for experiment in experiments}
 
     def runs(self, experiment_ids: Iterable[str]) -> "list[Run]":
-        """Return all runs of some experiments, as of the first call since the last writing: 1,000
-        take seconds.
-        """
+        """Return all runs of experiments, read once after a write, since 1,000 take seconds."""
         ids = frozenset(experiment_ids)
         if ids not in self._runs:
             self._runs[ids] = self.search([*ids])
         return self._runs[ids]
 
     def search(self, experiment_ids: Sequence[str], condition: str = "") -> "list[Run]":
-        """Return the runs of some experiments, deleted ones too, that match a filter string of
-        MLflow.
-        """
+        """Return runs of experiments that match a filter of MLflow's, deleted ones too."""
         from mlflow.entities import ViewType
 
         runs: list[Run] = []
@@ -135,9 +129,7 @@ class Store:
                 return runs
 
     def run_dir(self, run: "Run") -> Path | None:
-        """Return the run directory in a run's tag; a relative one is relative to the embedded
-        store's folder.
-        """
+        """Return the run directory in a tag; relative ones start at the embedded store's folder."""
         tag = run.data.tags.get("run_dir")
         if not tag or not tag.isprintable():
             return None
@@ -180,9 +172,7 @@ class Store:
         tags: Mapping[str, str],
         metrics: Sequence["Metric"] = (),
     ) -> None:
-        """Log parameters that the run does not have yet (they can't be changed), tags that differ,
-        and metrics.
-        """
+        """Log parameters a run lacks (they can't be changed), tags that differ, and metrics."""
         from mlflow.entities import Param, RunTag
 
         missing = [Param(key, value) for key, value in params.items() if key not in run.data.params]
@@ -200,9 +190,7 @@ class Store:
                 client.log_batch(run.info.run_id, *batch)
 
     def has_artifacts(self, run: "Run", files: Mapping[str, Path]) -> bool:
-        """Return whether a run has artifacts of these names and sizes, if they are files of this
-        machine.
-        """
+        """Return whether a run has artifacts of these names and sizes, if they are local files."""
         folder = local_folder(run.info.artifact_uri)
         if folder is None or run.info.lifecycle_stage == "deleted":
             return True
@@ -213,9 +201,7 @@ class Store:
         return True
 
     def put_artifact(self, run: "Run", name: str, content: bytes) -> None:
-        """Store an artifact of a run, in place of an earlier one of that name; see
-        `_artifact_path`.
-        """
+        """Store a run's artifact in place of an earlier one of that name; see `_artifact_path`."""
         # MLflow's client caches folders by run id, whatever the store: a copied store would write
         # to the original's.
         path = self._artifact_path(run.info.artifact_uri, name)
@@ -231,9 +217,7 @@ class Store:
             self.client.log_artifact(run.info.run_id, str(file), folder or None)
 
     def artifact(self, run_id: str, folder_uri: str, name: str) -> bytes | None:
-        """Return the content of a run's artifact, None if it has none of that name; see
-        `_artifact_path`.
-        """
+        """Return the content of a run's artifact, None without one; see `_artifact_path`."""
         path = self._artifact_path(folder_uri, name)
         if path is not None:
             return read_file(path) if path.exists() else None

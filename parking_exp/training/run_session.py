@@ -110,9 +110,7 @@ class RunSession(ABC):
             raise DivergenceError(f"evaluation at step {self.step}: {error}") from error
 
     def progress_of(self, n_episodes: int) -> Callable[[int], None]:
-        """Return a function of the number of finished episodes that shows it, and raises when a
-        signal asks to stop.
-        """
+        """Return a function that shows how many episodes are done, and raises on a stop signal."""
 
         def on_step(n_finished: int) -> None:
             self.stop_if_asked()

@@ -16,18 +16,14 @@ BATCH, N_ENVS = 256, 16
 
 
 def capacity_ratio(capacity: int, samples: int, rounds: int) -> dict[str, Any]:
-    """Compare the sampling time of a half-filled buffer with that of a buffer of a hundredth of the
-    size.
-    """
+    """Compare the sampling times of a half-filled buffer and of one a hundredth of its size."""
     large, small = (_filled(HerBuffer, size, size // 2) for size in (capacity, capacity // 100))
     entry = interleave(_sampling(small, samples), _sampling(large, samples), rounds)
     return entry | {"peer": "a hundredth of it", "unit": "samples"}
 
 
 def against_sb3(capacity: int, samples: int, rounds: int) -> dict[str, Any]:
-    """Compare samples per second of full buffers with Stable-Baselines3, which draws a
-    twentieth.
-    """
+    """Compare samples per second of full buffers with Stable-Baselines3; it draws a twentieth."""
     ours, theirs = (_filled(cls, capacity, capacity) for cls in (HerBuffer, HerReplayBuffer))
     entry = interleave(_sampling(ours, samples), _sampling(theirs, max(1, samples // 20)), rounds)
     return entry | {"peer": "stable-baselines3", "unit": "samples"}
@@ -51,9 +47,7 @@ def _sampling(buffer: HerBuffer | HerReplayBuffer, samples: int) -> Side:
 
 @cache
 def _filled(cls: Any, capacity: int, transitions: int) -> Any:
-    """Return a buffer filled with random transitions; both classes relabel like Stable-Baselines3
-    does.
-    """
+    """Return a buffer of random transitions; both classes relabel as Stable-Baselines3 does."""
     config: Any = compose().env
     env = ParkingVecEnv(config, N_ENVS)
     options: dict[str, Any] = {"env": env}
@@ -70,9 +64,7 @@ def _filled(cls: Any, capacity: int, transitions: int) -> Any:
 
 @cache
 def _recorded(steps: int = 1000) -> list[tuple[Any, ...]]:
-    """Record random transitions; the last ones end all episodes, so that the record can be added
-    repeatedly.
-    """
+    """Record random transitions that can be added repeatedly: the last ones end all episodes."""
     rng = np.random.default_rng(0)
     config: Any = compose().env
     env = ParkingVecEnv(config.for_training(), N_ENVS)

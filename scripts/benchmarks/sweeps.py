@@ -51,9 +51,7 @@ def scaling(rounds: int, length: Sequence[str], all_cores: Sequence[int]) -> dic
 
 
 def overhead(rounds: int, all_cores: Sequence[int]) -> dict[str, Any]:
-    """Measure the seconds of a run besides training: a run of 108 env steps, 8 updates and one
-    evaluated scene.
-    """
+    """Measure a run's seconds besides training: 108 env steps, 8 updates, one evaluated scene."""
     with _allowed(all_cores), tempfile.TemporaryDirectory() as folder:
         values = [
             _launch_seconds(Path(folder), 1, f"seed={seed}", *BARE, *SHORT)
@@ -63,9 +61,7 @@ def overhead(rounds: int, all_cores: Sequence[int]) -> dict[str, Any]:
 
 
 def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
-    """Measure the seconds to plan the cells of `her_ablation`, or some of them, whose runs are
-    finished.
-    """
+    """Measure the seconds to plan cells of `her_ablation`, all or some, whose runs are finished."""
     with tempfile.TemporaryDirectory() as folder:
         runs = compose_runs(
             "config",
@@ -93,9 +89,7 @@ def _launch_seconds(output_dir: Path, workers: int, *overrides: str) -> float:
 
 @contextlib.contextmanager
 def _allowed(cores: Sequence[int]) -> Iterator[None]:
-    """Allow other cores than the one that the benchmark is pinned to, where the system supports
-    it.
-    """
+    """Allow cores beside the one that the benchmark is pinned to, if the system supports it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return

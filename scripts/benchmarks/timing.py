@@ -1,6 +1,4 @@
-"""Time two sides alternately, so that drifts of the machine affect both, and summarise the
-ratios.
-"""
+"""Time two sides alternately, so that the machine's drifts affect both; summarise the ratios."""
 
 import statistics
 import time
@@ -26,9 +24,7 @@ def seconds(task: Callable[[], object]) -> float:
 
 
 def interleave(ours: Side, peer: Side, rounds: int) -> dict[str, Any]:
-    """Return median, lowest and highest ratio of the rates, ours / peer's, after a warm-up call of
-    both.
-    """
+    """Return median, lowest and highest ratio of rates, ours / peer's, after warming up both."""
     ours(), peer()
     pairs = [(rate(ours), rate(peer)) for _ in range(rounds)]
     medians = [rounded(statistics.median(rates)) for rates in zip(*pairs, strict=True)]

@@ -39,9 +39,7 @@ def tutorial(rounds: int, steps: int) -> dict[str, Any]:
 
 
 def fetch_reach(rounds: int, steps: int) -> dict[str, Any]:
-    """Compare CPU time per env step, updates included, of FetchReach with the same settings on both
-    sides.
-    """
+    """Compare CPU time per env step of FetchReach, updates included, with equal settings."""
     options = ("env=fetch_reach", "algorithm=td3", "algorithm.normalize=false", "torch_threads=1")
     config = compose(*options)
     env: Any = config.env
@@ -77,9 +75,7 @@ def _training_rates(config: RunConfig, peer: Any, rounds: int, steps: int) -> di
 
 
 def overhead(rounds: int, *changes: str) -> dict[str, Any]:
-    """Compare the wall time of the default run with that of its training without logs, checkpoints
-    and evaluation.
-    """
+    """Compare the default run's wall time with training without logs, checkpoints, evaluation."""
     ratios = []
     with tempfile.TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):
         options = (f"output_dir={folder}", "tracking.progress_bar=false", *changes)
@@ -108,9 +104,7 @@ def _model(config: RunConfig) -> Any:
 
 
 def _sb3_model(config: RunConfig, algorithm: type, envs: Any) -> Any:
-    """Return the model of a config with Stable-Baselines3's own classes, without any of this
-    package's.
-    """
+    """Return a config's model with Stable-Baselines3's own classes, and none of this package's."""
     arguments = dict(config.algorithm.arguments)
     if noise := arguments.get("action_noise"):
         size = envs.action_space.shape

@@ -1,3 +1,1 @@
-"""parking-v0 and its variants: highway-env's own, and a vectorized simulator that gives the same
-episodes.
-"""
+"""parking-v0 and its variants: highway-env's, and a vectorized simulator of the same episodes."""

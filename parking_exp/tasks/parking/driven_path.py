@@ -136,9 +136,7 @@ def moved_ahead(poses: np.ndarray, distance_m: float) -> np.ndarray:
 
 
 def _rear_axle(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
-    """Return x, y and heading of rear axles, shape (n, 3) [m, m, rad], and speeds, shape (n,)
-    [m/s].
-    """
+    """Return rear axles, x, y, heading, shape (n, 3) [m, m, rad], and speeds, (n,) [m/s]."""
     x, y, vx, vy, cos, sin = (observation["observation"][:, : len(SCALES)] * SCALES).T
     place = np.stack([x - REAR_AXLE_M * cos, y - REAR_AXLE_M * sin, np.arctan2(sin, cos)], axis=1)
     return place, vx * cos + vy * sin

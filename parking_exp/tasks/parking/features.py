@@ -74,9 +74,7 @@ class EgoFrameExtractor(TaskFeatures):
     def of_vehicles(
         self, observations: dict[str, torch.Tensor], of_car: torch.Tensor
     ) -> torch.Tensor:
-        """Return the features of the vehicles, shape (batch, K, features of each); they are 0 where
-        there is none.
-        """
+        """Return the vehicles' features, (batch, K, features of each), 0 where there is none."""
         observation = observations["observation"]
         entries = observation[:, len(DEFAULT_FEATURES) : self.first_ray_entry]
         seen = entries.unflatten(-1, (self.vehicles_count, len(ENTRIES)))
@@ -169,9 +167,7 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     def of_vehicles(
         self, observations: dict[str, torch.Tensor], of_car: torch.Tensor
     ) -> torch.Tensor:
-        """Return the features of the vehicles, shape (batch, K, 9); they are 0 where there is
-        none.
-        """
+        """Return the vehicles' features, (batch, K, 9), 0 where there is none."""
         vehicles = super().of_vehicles(observations, of_car)
         presence, ahead, left = vehicles[..., :3].unbind(-1)
         goal_ahead, goal_left, cos, sin = of_car[:, :4].split(1, dim=-1)
@@ -280,9 +276,7 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
         return torch.where(left < 0, -1.0, 1.0)
 
     def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return actions, shape (batch, actions), with the steering turned around where the scene
-        is mirrored.
-        """
+        """Return actions, (batch, actions), with the steering reversed if a scene is mirrored."""
         return torch.cat((actions[:, :-1], actions[:, -1:] * self.sign(observations)), dim=1)
 
 

@@ -163,9 +163,7 @@ def walls_around(free: np.ndarray) -> Rectangles:
 
 
 def joined(parts: Sequence[Rectangles]) -> Rectangles:
-    """Return the rectangles of some scenes in one, of shape (n, R); the parts have the shapes
-    (n, their number).
-    """
+    """Return some scenes' rectangles as one, shape (n, R); the parts are (n, their number)."""
     return Rectangles(
         centre=np.concatenate([part.centre for part in parts], axis=1),
         heading=np.concatenate([part.heading for part in parts], axis=1),

@@ -19,8 +19,7 @@ from parking_exp.tasks.parking.reward import reward_of
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
-    """Replace the goal reward by 0 on highway-env's success and -1 otherwise (Andrychowicz et al.
-    2017, section 4).
+    """Reward highway-env's success with 0, all else with -1 (Andrychowicz et al. 2017, section 4).
 
     `collision_reward` is still added to the step of a crash.
     """
@@ -40,9 +39,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
     def compute_reward(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object
     ) -> np.ndarray:
-        """Return 0 where the goal is reached and -1 elsewhere; goals of shape (6,) or (batch,
-        6).
-        """
+        """Return 0 where the goal is reached and -1 elsewhere; goals are (6,) or (batch, 6)."""
         return self.unwrapped.goal_reward(achieved_goal, desired_goal)[0]
 
 

@@ -1,6 +1,4 @@
-"""Frames of parking episodes, drawn by highway-env. Rendering is headless: pygame draws on surfaces
-in memory.
-"""
+"""Frames of parking episodes, drawn by highway-env without a display: pygame draws in memory."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -22,8 +20,7 @@ MAX_EPISODE_S = 20  # a timeout lasts 100 s, and shows mostly a car that does no
 
 
 def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iterator[np.ndarray]:
-    """Yield one frame for the start of each episode, one for each simulation frame, and one second
-    of its end.
+    """Yield a frame for an episode's start, for each simulation frame, and a second of its end.
 
     Episodes are cut after `MAX_EPISODE_S` seconds.
     """

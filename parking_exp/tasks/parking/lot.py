@@ -1,6 +1,4 @@
-"""Lots: the geometry of parking-v0's own lot, of parametric ones and of several in one env, and how
-scenes are sampled.
-"""
+"""Lots: geometry of parking-v0's own, of parametric ones and of several; sampling of scenes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
@@ -169,9 +167,7 @@ class ParametricLot(SampledLot):
         return slots, box, middle
 
     def _taken(self, order: np.ndarray, goal: np.ndarray, number: np.ndarray) -> np.ndarray:
-        """Return the slots of the parked cars, shape (n, most cars), NO_SLOT beyond their
-        number.
-        """
+        """Return the slots of parked cars, shape (n, most cars), NO_SLOT beyond their number."""
         order = order.copy()
         rows = np.arange(len(order))
         if self.config.neighbours == "taken":

@@ -198,9 +198,7 @@ class LotConfig(ConfigModel):
         return replace(numbers, angle_deg=np.tile(angles, 2))
 
     def ends_m(self, numbers: LotNumbers) -> np.ndarray:
-        """Return how far the aisle goes from the middle of its rows to the left and to the right,
-        shape (2, n).
-        """
+        """Return how far the aisle goes left and right of the middle of its rows, shape (2, n)."""
         cos, sin = numbers.direction
         slot = numbers.slot_length_m * cos + numbers.slot_width_m * sin
         half_row = (slot + (self.slots_per_row - 1) * numbers.sampled_pitch_m) / 2

@@ -1,6 +1,4 @@
-"""Figures of parking reports: paths and failures by goal slot on the lot from above, and outcomes
-by number of parked cars.
-"""
+"""Figures: paths and failures by goal slot on the lot; outcomes by number of parked cars."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -104,9 +102,7 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
 
 
 def _failures(cell: Any) -> np.ndarray:
-    """Return the percentage of failed episodes by goal slot, NaN without episodes. Shape
-    (slots,).
-    """
+    """Return the percentage of failed episodes by goal slot, shape (slots,), NaN for none."""
     rates = np.full(cell.drawn.lot.slots.shape[1], np.nan)
     for row in cell.task_data["slots"]:
         rates[row["slot"]] = percentages([row["crash"], row["timeout"]]).sum()

@@ -1,6 +1,4 @@
-"""Observation of the nearest other vehicles, and Gymnasium wrappers that add it and sample the
-number of vehicles.
-"""
+"""Observation of the nearest other vehicles; wrappers that add it and sample their number."""
 
 from typing import Any
 
@@ -20,8 +18,7 @@ axes of the lot.
 def nearest_vehicles(
     position: np.ndarray, others: np.ndarray, heading: np.ndarray, count: int
 ) -> np.ndarray:
-    """Return the vehicles nearest to each of n cars, nearest first, shape (n, count *
-    len(ENTRIES)).
+    """Return each car's nearest vehicles, nearest first, shape (n, count * len(ENTRIES)).
 
     Where there are fewer than `count`, all entries of the others are 0.
 
@@ -85,8 +82,7 @@ class SeenByCar(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
 
 
 class NearbyVehicles(SeenByCar):
-    """Append the nearest other vehicles and obstacles to `observation` of parking-v0; goals stay as
-    they are.
+    """Append the nearest vehicles and obstacles to `observation` of parking-v0, but not to goals.
 
     The observation gets 5 entries more for each vehicle, see `ENTRIES`; x and y are in 100 m,
     whatever the scales are.
@@ -112,9 +108,7 @@ class NearbyVehicles(SeenByCar):
 
 
 class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
-    """Sample `vehicles_count` of parking-v0 anew at each reset, uniformly from `low` to `high`; see
-    `sampled_number`.
-    """
+    """Sample `vehicles_count` at each reset, uniform from `low` to `high`; see `sampled_number`."""
 
     def __init__(self, env: gym.Env, low: int, high: int) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, low=low, high=high)

@@ -1,6 +1,4 @@
-"""Obstacles between the rows of slots: highway-env's `Obstacle`, squares of 2 m, at random
-places.
-"""
+"""Obstacles between the rows of slots: highway-env's `Obstacle`, 2 m squares at random places."""
 
 from typing import Any
 

@@ -178,9 +178,7 @@ class ParkingConfig(TaskConfig):
         return {}
 
     def for_training(self) -> Self:
-        """Return the config of training envs: `training_duration` and
-        `training_success_goal_reward` applied.
-        """
+        """Return the config with `training_duration` and `training_success_goal_reward` applied."""
         changes = {}
         if self.training_duration is not None:
             changes["duration"] = self.training_duration
@@ -210,9 +208,7 @@ class ParkingConfig(TaskConfig):
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
     def episode_steps(self) -> int:
-        """Return the longest episode in policy steps, counted like highway-env does: by adding
-        floats.
-        """
+        """Return the most policy steps of an episode, counted by adding floats like highway-env."""
         time = 0.0
         steps = 0
         while time < self.duration:

@@ -1,6 +1,4 @@
-"""Metrics of parking episodes: outcomes, strict parking, the pose of the car at the end, and how it
-got there.
-"""
+"""Metrics of parking episodes: outcomes, strict parking, the pose at the end, the way there."""
 
 import math
 

@@ -1,6 +1,4 @@
-"""Report sections of parking: paths on the lot, rates of outcomes by goal slot and by number of
-parked cars.
-"""
+"""Report sections: paths on the lot, rates of outcomes by goal slot and number of parked cars."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache, partial

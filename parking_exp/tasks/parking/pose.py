@@ -63,8 +63,7 @@ def is_parked(
     slot_length_m: Numbers,
     slot_width_m: Numbers,
 ) -> Numbers:
-    """Return whether all four corners are inside the slot's lines, heading within 10 degrees, speed
-    below 0.5 m/s.
+    """Return whether all corners are inside the slot's lines, heading within 10°, under 0.5 m/s.
 
     Position and heading are relative to the slot; numbers, or arrays of one shape.
     """

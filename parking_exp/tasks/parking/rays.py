@@ -1,6 +1,4 @@
-"""Observation of distances along rays, as a lidar measures them, and the Gymnasium wrapper that
-adds it.
-"""
+"""Observe distances along rays, as a lidar does; with the Gymnasium wrapper that adds them."""
 
 import gymnasium as gym
 import numpy as np
@@ -15,8 +13,7 @@ _TINY = 1e-300  # in place of 0, which can't be divided by
 def ray_distances(
     position: np.ndarray, direction: np.ndarray, rectangles: Rectangles, rays: int, range_m: float
 ) -> np.ndarray:
-    """Return the distances from cars' centres to the nearest rectangle along each ray, shape
-    (n, rays) [m].
+    """Return distances from cars' centres along rays to the nearest rectangle, shape (n, rays) [m].
 
     Ray k has the angle k * 2 pi / rays to the car's heading, counter-clockwise: the first looks
     straight ahead. A distance is `range_m` where nothing is nearer, and 0 within a rectangle.

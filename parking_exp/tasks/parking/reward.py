@@ -1,6 +1,4 @@
-"""Goal rewards without the collision term, for many goals at once: highway-env's, and that of other
-lots.
-"""
+"""Goal rewards of many goals at once, without the collision term: highway-env's, other lots'."""
 
 from dataclasses import dataclass, field
 from typing import Self
@@ -19,9 +17,7 @@ from parking_exp.tasks.task import GoalReward
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ParkingReward(GoalReward):
-    """The reward of an env variant. Goals are x, y, vx, vy, cos_h, sin_h in highway-env's own
-    scales.
-    """
+    """The reward of an env variant; goals are x, y, vx, vy, cos_h, sin_h in highway-env's scale."""
 
     weights: np.ndarray  # of the features' distances, shape (6,)
     threshold: float  # the dense reward above which a goal counts as reached
@@ -48,9 +44,7 @@ class ParkingReward(GoalReward):
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (...) for goals of shape
-        (..., 6).
-        """
+        """Return reward and whether the goal is reached, shape (...), for goals of (..., 6)."""
         # The negative square root of the weighted distance, by a dot product as in highway-env.
         dense: np.ndarray = -np.sqrt(np.vecdot(np.abs(achieved - desired), self.weights))
         reached = dense > self.threshold
@@ -60,8 +54,7 @@ class ParkingReward(GoalReward):
 
 
 class LotReward(ParkingReward):
-    """The reward of lots other than highway-env's: in the frame of the slot, and success is
-    `parked`.
+    """The reward of other lots than highway-env's, in the slot's frame; success is `parked`.
 
     The weights are of the distances along and across the slot, of the velocities along and across
     it, and of 1 minus the cosine and the sine of the heading relative to the slot. So slots of all

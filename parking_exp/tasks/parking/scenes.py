@@ -125,9 +125,7 @@ class Scenes:
     def _from_draws(
         heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray
     ) -> "Scenes":
-        """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots; `number` of
-        the cars count.
-        """
+        """Turn draws from the slots left, shape (n, 1 + vehicles), into slots; `number` count."""
         taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
         taken[:, 0] = start_slot(heading)
         for column in range(draws.shape[1]):
@@ -152,8 +150,7 @@ class Scenes:
 
 
 def start_slot(heading: np.ndarray) -> np.ndarray:
-    """Return the slot in which the car starts according to highway-env, which is never a goal;
-    shape (n,).
+    """Return the slot where the car starts for highway-env, which is never a goal; shape (n,).
 
     It minimises distance plus difference of heading. Of the two slots at each heading, highway-env
     takes the first.
@@ -167,8 +164,7 @@ def start_slot(heading: np.ndarray) -> np.ndarray:
 
 
 def sampled_number(bit_generator: Any, low: int, high: int) -> int:
-    """Return the number of vehicles of a scene, uniform in low ... high, without using up its
-    random generator.
+    """Return a scene's number of vehicles, uniform in low ... high, without using its generator up.
 
     The number is sampled by the scene's generator, jumped once: `env.reset(seed=s)` has
     `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
@@ -179,9 +175,7 @@ def sampled_number(bit_generator: Any, low: int, high: int) -> int:
 
 
 def sampled_places(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Sample n places of obstacles, shape (n, 2) [m]: uniform in the aisle, but not where the car
-    starts.
-    """
+    """Sample n obstacles' places, shape (n, 2) [m], uniform in the aisle but not at the start."""
     places = np.empty((0, 2))
     while len(places) < n:
         candidates = rng.uniform(-AISLE_M, AISLE_M, (n, 2))

@@ -12,9 +12,7 @@ from parking_exp.tasks.parking.lot_config import LotConfig, bounds
 
 
 def stored_lot(config: Mapping[str, Any]) -> Lot:
-    """Return the lot of a config by dotted keys, as frames of results have it, or its lots in
-    one.
-    """
+    """Return the lot of a config by dotted keys, as results have it, or its lots in one."""
     nested = OmegaConf.create({"env": {"vehicles_count": 0}})
     for key, value in config.items():
         if key.startswith(("env.lot.", "env.lots.", "env.vehicles_count")) and not pd.isna(value):

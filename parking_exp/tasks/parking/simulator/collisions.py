@@ -127,9 +127,7 @@ class Collisions:
         return Fixtures(rectangles.centre, reach, shapes)
 
     def resolve(self, state: SceneState, fixtures: Fixtures) -> None:
-        """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the
-        state.
-        """
+        """Detect a frame's collisions; set crashes, and impacts of the next frame, in the state."""
         self._resolve_cars(state, fixtures)
         # Parked cars stand apart until one of them has been pushed.
         if self.count and state.pushed.any():

@@ -25,8 +25,7 @@ def advance(
     sin_slip: np.ndarray,
     dt: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Integrate the bicycle model over one simulation frame; return position, heading and speed
-    after it.
+    """Integrate the bicycle model over a simulation frame; return position, heading and speed.
 
     Args:
         position: shape (2, n); all others have the shape (n,).

@@ -1,5 +1,4 @@
-"""Vectorized simulator of parking-v0: many scenes at once, exactly as highway-env simulates them,
-with NumPy alone.
+"""Vectorized simulator of parking-v0: many scenes at once, exactly as highway-env, in NumPy alone.
 
 A policy step is a few simulation frames of constant action. Scenes without a possible contact in
 the step, nearly all, are integrated at once; the others frame by frame, in highway-env's order:
@@ -130,9 +129,7 @@ class Simulator:
         return distances / self.rays_range_m
 
     def step(self, actions: np.ndarray) -> Step:
-        """Drive all scenes for one policy step; actions have the shape (n, 2): acceleration, then
-        steering.
-        """
+        """Drive all scenes for one policy step; actions (n, 2) are acceleration, then steering."""
         state = self.state
         actions = np.asarray(actions)
         if actions.dtype.kind != "f":
@@ -188,9 +185,7 @@ class Simulator:
         return scaled.astype(np.float64)
 
     def _drive(self, acceleration: np.ndarray, steering: np.ndarray) -> np.ndarray:
-        """Integrate all frames of a step as if there were no obstacles; return the rows where that
-        may be wrong.
-        """
+        """Integrate all frames as if without obstacles; return the rows where that may be wrong."""
         state = self.state
         position = state.position
         heading = state.heading
@@ -277,9 +272,7 @@ class Simulator:
     def _drive_by_frames(
         self, state: SceneState, acceleration: np.ndarray, steering: np.ndarray
     ) -> None:
-        """Integrate a step frame by frame, in place, with speed limits, collisions and their
-        consequences.
-        """
+        """Integrate a step frame by frame, in place, with speed limits, collisions and effects."""
         low, high = self.speed_range
         fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)
         limited = fastest.max() > min(-low, high)
@@ -312,9 +305,7 @@ class Simulator:
             self._collisions.resolve(state, fixtures)
 
     def _car_features(self, rows: np.ndarray | slice) -> np.ndarray:
-        """Return x, y, vx, vy, cos_h, sin_h of the cars, in units of the observation. Shape
-        (n, 6).
-        """
+        """Return x, y, vx, vy, cos_h, sin_h of the cars in units of the observation, (n, 6)."""
         state = self.state
         features = np.empty((len(DEFAULT_FEATURES), len(state.heading[rows])))
         features[:2] = state.position[:, rows]
