@@ -270,7 +270,7 @@ def user_options(extra_config_dir: str | None) -> list[str]:
 
 @contextmanager
 def hydra_ready() -> Iterator[None]:
-    """Initialize Hydra with our tree; turn its and OmegaConf's errors into a sentence each."""
+    """Initialize Hydra with our tree; its and OmegaConf's errors become a ConfigError."""
     # We may be called within a Hydra app, such as a benchmark or a user's own.
     outer = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()

@@ -41,10 +41,6 @@ class TaskConfig(ConfigModel):
         """Return the config of training envs."""
         return self
 
-    def for_demonstrations(self) -> Self:
-        """Return the config of envs whose training seeds start as a demonstrator expects."""
-        return self
-
     def episode_steps(self) -> int | None:
         """Return the longest episode in steps; None where only the environment knows."""
         raise NotImplementedError

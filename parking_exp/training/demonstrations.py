@@ -99,7 +99,7 @@ def add_demonstrations(
 def _path(config: RunConfig, buffer: HerBuffer) -> Path:
     """Return the file of the demonstrations of a run, whose folder exists then."""
     settings = config.buffer
-    env = config.env.for_demonstrations()
+    env = config.env
     content = {
         "demonstrator": settings.demonstrator,
         "demonstrations": settings.demonstrations,
@@ -129,7 +129,7 @@ def _record_episodes(
     on_progress: Callable[[int], None],
 ) -> int:
     """Add an episode for each of the last training seeds, and return how many are successful."""
-    task = make_task(config.env.for_demonstrations())
+    task = make_task(config.env)
     arguments = dict(config.buffer.demonstrator)
     target = arguments.pop("_target_")
     policy = build_scripted_policy(target, arguments, task, DEMONSTRATOR_SEED)

@@ -120,7 +120,7 @@ def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
     ("overrides", "expected"),
     [
         (["buffer.demonstrations=0,5"], {"demonstrations=0", "demonstrations=5"}),
-        (["env.starts=lot,mixed"], {"starts=lot", "starts=mixed"}),
+        (["env.standing_reward=0,-0.3"], {"standing_reward=0", "standing_reward=-0.3"}),
         (["env.observation.rays=0,4"], {"rays=0", "rays=4"}),
     ],
 )
@@ -132,8 +132,8 @@ def test_defaults_that_stored_configs_leave_out_are_levels(overrides, expected):
 def test_only_the_tasks_that_have_a_key_have_its_default():
     parking = cell(env__task="parking")
     reach = cell(env="fetch_reach", env__task="gymnasium")
-    _, labels = described([parking | {"env.starts": "mixed"}, parking, reach])
-    assert labels == ["parking, starts=mixed", "parking, starts=lot", "fetch_reach"]
+    _, labels = described([parking | {"env.standing_reward": -0.3}, parking, reach])
+    assert labels == ["parking, standing_reward=-0.3", "parking, standing_reward=0", "fetch_reach"]
 
 
 def test_a_demonstrator_that_is_stored_for_its_arguments_is_no_level():

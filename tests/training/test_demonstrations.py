@@ -77,12 +77,6 @@ def test_they_are_episodes_of_the_last_training_scenes_in_which_the_planner_park
     np.testing.assert_array_equal(before, buffer.storage.take(inside).obs["observation"])
 
 
-def test_starts_out_of_the_goal_are_not_those_of_demonstrations(tmp_path):
-    plain = demonstrations_of(configured(tmp_path / "lot"))
-    moved = demonstrations_of(configured(tmp_path / "goal", "env.starts=goal"))
-    assert plain.storage.data.tobytes() == moved.storage.data.tobytes()
-
-
 @pytest.mark.parametrize("buffer", ["her_future", "replay"])
 @pytest.mark.parametrize(("share", "expected"), [(0.25, 25), (0.5, 50), (0.996, 100)])
 def test_a_share_of_each_batch_is_theirs(tmp_path, buffer, share, expected):

@@ -25,7 +25,6 @@ OUR_KEYS = {
     "training_duration",
     "training_success_goal_reward",
     "standing_reward",
-    "starts",
     "obstacles",
     "lot",
     "lots",
@@ -101,7 +100,6 @@ class ParkingConfig(TaskConfig):
         "standing_reward",
         "training_duration",
         "training_success_goal_reward",
-        "starts",
         "observation.vehicles_count",
         "observation.rays",
         "observation.rays_range_m",
@@ -112,8 +110,6 @@ class ParkingConfig(TaskConfig):
     reward: Literal["dense", "sparse"]
     training_duration: Duration | None
     training_success_goal_reward: PositiveFloat | None
-    # Left out of stored configs where it is the default.
-    starts: Annotated[Literal["lot", "goal", "mixed"], Field(exclude_if="lot".__eq__)] = "lot"
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
     # None: highway-env's own lot. Left out of stored configs then.
     lot: Annotated[LotConfig | None, Field(exclude_if=not_)] = None
@@ -186,10 +182,6 @@ class ParkingConfig(TaskConfig):
             changes["success_goal_reward"] = self.training_success_goal_reward
         return self.model_copy(update=changes)
 
-    def for_demonstrations(self) -> Self:
-        """Return the config with starts in the lot, which are those that a planner plans for."""
-        return self.model_copy(update={"starts": "lot"})
-
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(ENV_ID, config=...)`."""
         options = self.model_dump(exclude=OUR_KEYS)
@@ -229,14 +221,6 @@ class ParkingConfig(TaskConfig):
             )
         if self.policy_frequency > self.simulation_frequency:
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
-        if self.starts != "lot" and self.simulator != "vectorized":
-            yield f"env.starts={self.starts} needs env.simulator=vectorized"
-        for name in ("acceleration_range", "speed_range"):
-            if self.starts != "lot" and self.action.limit(name) <= 0:
-                yield (
-                    f"env.starts={self.starts}: env.action.{name} has to allow both directions, as "
-                    "the way out of the goal has them"
-                )
         lots = self.parametric_lots
         if not lots and self.vehicles_range[1] > MAX_VEHICLES:
             yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"

@@ -125,7 +125,10 @@ class Scenes:
     def _from_draws(
         heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray
     ) -> "Scenes":
-        """Turn draws from the slots left, shape (n, 1 + vehicles), into slots; `number` count."""
+        """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots.
+
+        `number` of the cars count.
+        """
         taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
         taken[:, 0] = start_slot(heading)
         for column in range(draws.shape[1]):

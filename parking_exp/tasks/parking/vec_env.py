@@ -5,7 +5,6 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from parking_exp.tasks.batch_vec_env import BatchVecEnv
-from parking_exp.tasks.parking.goal_starts import GoalStarts
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import Scenes
@@ -18,7 +17,7 @@ class ParkingVecEnv(BatchVecEnv):
     batch: Simulator
 
     def __init__(self, config: ParkingConfig, n_envs: int) -> None:
-        self.lot = lot_of(config) if config.starts == "lot" else GoalStarts(config)
+        self.lot = lot_of(config)
         simulator = Simulator(config, self.sample(np.random.default_rng(), n_envs))
         boxes = {}
         for key, values in simulator.observe().items():
