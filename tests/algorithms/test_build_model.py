@@ -127,6 +127,7 @@ def test_a_model_is_made_saved_and_trained_without_torchs_compiler():
 import sys, tempfile
 from pathlib import Path
 from parking_exp.algorithms.build_model import build_model
+from parking_exp.config.compose import compose
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 config = compose("experiment=smoke")
