@@ -60,7 +60,7 @@ def encode_setting(value: Setting) -> str:
 
 
 def decode_setting(text: str | None) -> Setting:
-    """Return what a text means: None, a bool, a number or a text, as are lists and mappings."""
+    """Return a text as a setting: None, a bool, a number or text; lists and mappings stay text."""
     if text is None or text == "None":
         return None
     if text in ("True", "False"):

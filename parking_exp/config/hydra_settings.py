@@ -47,7 +47,7 @@ def check_hydra_overrides(config_name: str, overrides: Iterable[str]) -> None:
 
 
 def check_hydra_settings(config_name: str, composed: DictConfig, plain: DictConfig) -> None:
-    """Refuse unread settings of composed files, given what our files set; raises as above."""
+    """Refuse settings of composed files that are not read, unless ours set them; raise as above."""
     given = _settings(composed)
     ours = _settings(plain)
     for key in {**given, **ours}:

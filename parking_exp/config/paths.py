@@ -68,7 +68,10 @@ def default_uri(output_dir: Path) -> str:
 
 
 def absolute(uri: str, base: Path | None = None) -> str:
-    """Return a URI with an absolute sqlite path, from a base or the working directory."""
+    """Return a URI whose sqlite path is absolute.
+
+    A relative path starts at the base directory, or at the working directory.
+    """
     path = database(uri)
     return uri if path is None else f"{SQLITE}{directory_path((base or Path()) / path)}"
 

@@ -72,7 +72,7 @@ def config_reader() -> Callable[[bytes], FlatConfig]:
 
 
 def read_points(log: bytes) -> list[dict[str, Any]]:
-    """Return the points of curves in a `metrics.jsonl`'s content, by step; errors mean damage."""
+    """Return the points of curves in a `metrics.jsonl`, by step; any error means it is damaged."""
     points: dict[int, dict[str, Any]] = {}
     for record in map(json.loads, log.splitlines()):
         values = {}

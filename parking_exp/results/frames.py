@@ -274,7 +274,7 @@ def _make_episodes(tables: Mapping[str, pd.DataFrame], run_ids: pd.Series) -> pd
 
 
 def _concatenate(tables: Mapping[str, pd.DataFrame], none: pd.DataFrame) -> pd.DataFrame:
-    """Return the tables of runs by run id as one, with columns and types of `none` if empty."""
+    """Return the tables of runs, by run id, as one; without any, it is `none`."""
     parts = [table.assign(run_id=run_id) for run_id, table in tables.items()]
     return pd.concat([none, *parts], ignore_index=True)
 

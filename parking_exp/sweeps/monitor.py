@@ -1,4 +1,4 @@
-"""Live view of runs from their directories: a line per event, on a terminal one per running run."""
+"""Live view of runs from their directories: lines for events; on a terminal, one for each run."""
 
 import threading
 from collections.abc import Callable, Sequence

@@ -55,7 +55,7 @@ class TaskConfig(ConfigModel):
         yield from ()
 
     def change_problems(self, changes: Mapping[str, Any]) -> Iterator[str]:
-        """Yield why an evaluation can't make a change, by key, to the env of a stored run."""
+        """Yield a sentence for each of the changes, by key, that evaluations can't make."""
         yield from ()
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:

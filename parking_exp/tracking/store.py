@@ -102,7 +102,10 @@ class Store:
         return {experiment.name: experiment.experiment_id for experiment in experiments}
 
     def runs(self, experiment_ids: Iterable[str]) -> "list[Run]":
-        """Return all runs of experiments, read once after a write, since 1,000 take seconds."""
+        """Return all runs of some experiments.
+
+        They are read once and kept until the next writing, since 1,000 take seconds.
+        """
         ids = frozenset(experiment_ids)
         if ids not in self._runs:
             self._runs[ids] = self.search([*ids])

@@ -109,20 +109,21 @@ def test_the_replay_buffer_has_the_sources_transitions_and_no_episode_under_way(
 
 
 @pytest.mark.parametrize(
-    ("agent", "env", "units", "cars_seen", "has_critics"),
+    ("agent", "env", "units", "observation", "has_critics"),
     [
-        ("crowded", "parking_stop_crowded", 128, 4, False),
-        ("parked", "parking_stop", 64, 0, True),
-        ("parallel", "parking_parallel", 128, 4, True),
+        ("crowded", "parking_stop_crowded", 128, ["vehicles_count=4"], False),
+        ("parked", "parking_stop", 64, ["vehicles_count=0"], True),
+        ("parallel", "parking_parallel", 128, ["vehicles_count=4"], True),
+        ("lots", "parking_lots", 256, ["rays=16", "rays_range_m=20"], True),
     ],
 )
 def test_networks_of_a_pretrained_agent_are_their_own_targets(
-    agent, env, units, cars_seen, has_critics
+    agent, env, units, observation, has_critics
 ):
     config = compose(
         f"init=pretrained/{agent}",
         f"env={env}",
-        f"env.observation.vehicles_count={cars_seen}",
+        *[f"env.observation.{setting}" for setting in observation],
         "algorithm=td3",
         f"algorithm.net_arch=[{units},{units}]",
     )

@@ -20,7 +20,7 @@ MAX_EPISODE_S = 20  # a timeout lasts 100 s, and shows mostly a car that does no
 
 
 def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iterator[np.ndarray]:
-    """Yield a frame for an episode's start, for each simulation frame, and a second of its end.
+    """Yield each episode's frames: its start, all simulation frames, and a second of its end.
 
     Episodes are cut after `MAX_EPISODE_S` seconds.
     """

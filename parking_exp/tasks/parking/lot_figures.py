@@ -102,7 +102,7 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
 
 
 def _failures(cell: Any) -> np.ndarray:
-    """Return the percentage of failed episodes by goal slot, shape (slots,), NaN for none."""
+    """Return the percentage of failed episodes by goal slot, shape (slots,); NaN without any."""
     rates = np.full(cell.drawn.lot.slots.shape[1], np.nan)
     for row in cell.task_data["slots"]:
         rates[row["slot"]] = percentages([row["crash"], row["timeout"]]).sum()

@@ -153,7 +153,7 @@ class Scenes:
 
 
 def start_slot(heading: np.ndarray) -> np.ndarray:
-    """Return the slot where the car starts for highway-env, which is never a goal; shape (n,).
+    """Return the slot that highway-env takes for the start, which is never a goal; shape (n,).
 
     It minimises distance plus difference of heading. Of the two slots at each heading, highway-env
     takes the first.
@@ -167,7 +167,7 @@ def start_slot(heading: np.ndarray) -> np.ndarray:
 
 
 def sampled_number(bit_generator: Any, low: int, high: int) -> int:
-    """Return a scene's number of vehicles, uniform in low ... high, without using its generator up.
+    """Return a scene's number of vehicles, uniform in low ... high; its generator stays as it is.
 
     The number is sampled by the scene's generator, jumped once: `env.reset(seed=s)` has
     `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
