@@ -33,7 +33,7 @@ class ModelError(ParkingError):
 
 
 class OutputDirectoryError(ParkingError):
-    """A run directory cannot be created."""
+    """A file or folder that can't be made, read or written."""
 
 
 class RunLockedError(ParkingError):
@@ -45,11 +45,11 @@ class ResultsError(ParkingError, LookupError):
 
 
 class StoreError(ParkingError):
-    """A store that rejects a run, or is behind the run directories."""
+    """A store or study that can't be used, that rejects a run, or that lacks some."""
 
 
 class VideoError(ParkingError):
-    """An environment cannot be rendered on this machine."""
+    """There is no video or replay: the task has none, or this machine can't render."""
 
 
 class EnvProcessError(ParkingError):
@@ -61,7 +61,7 @@ class DivergenceError(ParkingError):
 
 
 class CrossCheckError(ParkingError):
-    """The simulator and highway-env disagree on an episode."""
+    """Two simulators of a task, e.g. ours and highway-env, disagree on an episode."""
 
 
 class InterruptedRunError(ParkingError):

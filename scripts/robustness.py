@@ -4,9 +4,9 @@
     python scripts/robustness.py [RUN ...]
 
 A run is what `scripts/evaluate.py` takes. For a folder of runs, the table has the mean rates, and
-the lowest and highest rate of an agent. Without arguments these are the pretrained agents. Each is
-evaluated on the env of its training, with 10 cars if it was trained among cars. It has to reach its
-slot, or to stop in it where success requires that.
+the lowest and highest rate of an agent. Without arguments these are `default`, `parked` and
+`crowded` of the package. Each is evaluated on the env of its training, with 10 cars if it was
+trained among cars. It has to reach its slot, or to stop in it where success requires that.
 """
 
 import sys

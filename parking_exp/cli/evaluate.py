@@ -47,8 +47,8 @@ def read_overrides(words: list[str]) -> list[str]:
     """Return words as overrides; `env.KEY` without `env` changes the env of the agent's training.
 
     Raises:
-        ConfigError: a word is a key of training, which options of `env` add to the config, or of
-            the agent.
+        ConfigError: a word sets a key of training, the observation (which is the agent's),
+            `env.simulator` (`simulator` chooses it), or an env in place of an option.
     """
     has_option = any(word.startswith("env=") for word in words)
     has_model_file = any(word.startswith("run=") and ".zip" in word for word in words)

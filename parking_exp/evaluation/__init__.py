@@ -1,1 +1,1 @@
-"""Evaluation of a policy from fixed seeds: episodes, metrics, video."""
+"""Find agents, evaluate them from fixed seeds, film and export them."""

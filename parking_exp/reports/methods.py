@@ -25,10 +25,11 @@ def describe_methods(report: ReportData) -> Iterator[str]:
     for task in task_reports(report.tasks):
         yield from task.methods
     yield (
-        "Intervals are at 95 %, for the mean of all possible seeds: a Bayesian bootstrap of the "
-        "seeds and of one unseen seed, at least as wide as Clopper and Pearson's of all episodes. "
-        "Below ten seeds they are compatibility intervals: they show which means go well with the "
-        "seeds, and cover less than 95 % where seeds collapse. A single seed has no interval."
+        "Intervals are at 95 %, and are for the mean over all possible seeds. They come from a "
+        "Bayesian bootstrap of the seeds and of one unseen seed. They are at least as wide as "
+        "Clopper and Pearson's interval of all episodes. Below ten seeds they are compatibility "
+        "intervals: they show which means go well with the seeds, and cover less than 95 % where "
+        "seeds collapse. A single seed has no interval."
     )
     if any(cell.total_timesteps == 0 for cell in report.cells):
         yield (
@@ -56,8 +57,8 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         )
     if report.effects:
         yield (
-            "Main effects are means of cell means, with intervals made likewise. The difference of "
-            "the best and the worst level has the same test, which permutes seeds among cells that "
-            "are equal otherwise, with Bonferroni's correction over the pairs of levels."
+            "A main effect is a mean of cell means, and its interval is made in the same way. The "
+            "best and the worst level are compared by the same test. It permutes seeds among cells "
+            "that are equal otherwise, and has Bonferroni's correction over the pairs of levels."
         )
     yield REFERENCES

@@ -82,7 +82,7 @@ gzipped CSV files, which `pandas.read_csv` reads as well, and a JSON file:
     curves.csv.gz    `Results.curves`
     outcomes.csv.gz  outcomes of the final episodes: a row per seed of an episode, a column per
                      run id
-    report.json      problems; names of the experiments; the search, if there is one
+    report.json      problems; the search, if there is one
 
 Left out are metrics that none of the runs has, such as those of other tasks; evaluation episodes
 during training; what `Results.episodes` has besides outcomes; paths; and everything that names a

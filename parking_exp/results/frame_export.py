@@ -164,7 +164,7 @@ def config_column(texts: Iterable[str | None]) -> pd.Series:
 
 
 def _read_curves(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
-    curves = pd.read_csv(path, dtype=CURVE_TYPES, float_precision="round_trip")
+    curves = pd.read_csv(path, dtype=CURVE_TYPES)
     curves = typed_curves(curves[curves["run_id"].isin(runs["run_id"])])
     return curves.sort_values(["run_id", "step"], ignore_index=True)
 

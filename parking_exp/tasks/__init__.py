@@ -1,1 +1,1 @@
-"""Tasks: the interface, parking-v0 with a vectorized simulator, Gymnasium's goal environments."""
+"""Tasks: the interface, parking with a vectorized simulator, Gymnasium's goal environments."""

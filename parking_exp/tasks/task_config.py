@@ -13,7 +13,8 @@ class TaskConfig(ConfigModel):
     """The `env` group of a task, chosen by its key `task`.
 
     Attributes:
-        simulators: the first trains; the last is the reference that results are cross-checked on.
+        simulators: names that the key `simulator` may have, if there are several. The last is the
+            reference that results are cross-checked on.
         agent_keys: keys that evaluation takes from an agent's training, e.g. what the agent
             observes.
         training_keys: keys that do not change the episodes of an evaluation.

@@ -43,7 +43,7 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
     assert model.env is not None
     training_envs.set_state(model.env, state["envs"])
     # Where no steps remain, `learn` has not been called, and noise of several envs is not
-    # vectorised yet: nor needed.
+    # vectorized yet: nor needed.
     for env_noise, saved in zip(_noises(model.action_noise), state["noise"], strict=False):
         vars(env_noise).update(saved)
     sde = _sde(model)

@@ -1,4 +1,4 @@
-"""Two vectorised envs, side by side."""
+"""Two vectorized envs, side by side."""
 
 import numpy as np
 

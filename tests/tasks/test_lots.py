@@ -241,7 +241,7 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
             ["lot.slots_per_row=2", "lot.starts.x_m=[-5,5]", "vehicles_count=2"],
             "needs three slots or more",
         ),
-        (["obstacles=3"], "env.obstacles=3: highway-env's own lot only has obstacles"),
+        (["obstacles=3"], "env.obstacles=3: only highway-env's own lot has obstacles; set it to 0"),
     ],
 )
 def test_a_lot_that_cannot_be_is_one_sentence(overrides, message):

@@ -1,1 +1,1 @@
-"""parking-v0 and its variants: highway-env's, and a vectorized simulator of the same episodes."""
+"""Parking, on highway-env's lot and on others: in highway-env and in a vectorized simulator."""

@@ -1,4 +1,4 @@
-"""parking-v0 simulated by highway-env itself."""
+"""Parking simulated by highway-env itself: parking-v0, and other lots as `LotEnv`."""
 
 from collections.abc import Sequence
 from functools import partial

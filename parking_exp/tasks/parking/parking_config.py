@@ -1,4 +1,4 @@
-"""The `env` group of parking-v0: highway-env's options under their own names, and some of ours."""
+"""The `env` group of parking: highway-env's options under their own names, lots, and some more."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -89,7 +89,7 @@ class ActionConfig(ConfigModel):
 
 
 class ParkingConfig(TaskConfig):
-    """The `env` group of parking-v0."""
+    """The `env` group of parking, on highway-env's lot or on others."""
 
     simulators: ClassVar[tuple[str, ...]] = ("vectorized", "highway_env")
     agent_keys: ClassVar[tuple[str, ...]] = ("observation",)
@@ -230,7 +230,10 @@ class ParkingConfig(TaskConfig):
                 "set it to 0, or choose another lot, such as env=parking_parallel"
             )
         if lots and self.obstacles:
-            yield f"env.obstacles={self.obstacles}: highway-env's own lot only has obstacles"
+            yield (
+                f"env.obstacles={self.obstacles}: only highway-env's own lot has obstacles; "
+                "set it to 0"
+            )
         for key, lot in lots.items():
             vehicles = lot.vehicles_range(self.vehicles_count)
             yield from lot.problems(key, vehicles, walls=self.add_walls)

@@ -1,6 +1,4 @@
-"""Parking as a task: highway-env's parking-v0, and a vectorized simulator that gives the same
-episodes.
-"""
+"""Parking as a task: in highway-env itself, and in a vectorized simulator with equal episodes."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""A vectorized simulator of parking-v0, exact to highway-env, with NumPy alone."""
+"""A vectorized simulator of parking, exact to highway-env, with NumPy alone."""
 
 from parking_exp.tasks.parking.simulator.simulator import Simulator
 

@@ -1,4 +1,4 @@
-"""Vectorized simulator of parking-v0: many scenes at once, exactly as highway-env, in NumPy alone.
+"""Vectorized simulator of parking: many scenes at once, exactly as highway-env, in NumPy alone.
 
 A policy step is a few simulation frames of constant action. Scenes without a possible contact in
 the step, nearly all, are integrated at once; the others frame by frame, in highway-env's order:
