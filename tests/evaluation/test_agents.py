@@ -85,7 +85,8 @@ def test_their_configs_are_those_of_the_recipes():
         "env.vehicles_count=[0,20]",
         "seeds=1",
     )
-    parallel = ("env=parking_parallel", "env.level=extreme", "algorithm=td3", "seeds=1")
+    rates = ("algorithm.learning_rate.start=3e-3", "algorithm.learning_rate.end=3e-4")
+    parallel = ("env=parking_parallel", "env.level=extreme", "algorithm=td3", "seeds=1", *rates)
     recipes = {
         "default": (),
         "parked": ("experiment=parked",),
