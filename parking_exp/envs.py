@@ -24,7 +24,7 @@ LOTS = {
 """Ids of the environments, and the options of the config group `env` that describe them."""
 
 
-def make_lot(
+def make_lot_env(
     env: str,
     level: str | None = None,
     render_mode: str | None = None,
@@ -45,10 +45,10 @@ def make_lot(
 
     of_level = [] if level is None else [f"env.level={level}"]
     config = compose(f"env={env}", *of_level, *overrides).env
-    if not isinstance(config, ParkingConfig) or not config.parametric_lots:
+    if not isinstance(config, ParkingConfig) or not config.lot_configs:
         raise ConfigError(f"env={config.name}: it has no lot of its own")
     return make_env(config, render_mode=render_mode)
 
 
 for _id, _env in LOTS.items():
-    gym.register(_id, entry_point="parking_exp.envs:make_lot", kwargs={"env": _env})
+    gym.register(_id, entry_point="parking_exp.envs:make_lot_env", kwargs={"env": _env})

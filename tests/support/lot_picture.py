@@ -30,7 +30,7 @@ def draw():
 
     figure, panels = draw_lots(cells)
     for axes, cell in zip(panels, cells, strict=True):
-        scene = cell.drawn.lot
+        scene = cell.drawn.scene
         parked = scene.vehicle_pose[0][scene.vehicles[0] != NO_SLOT]
         goal = rectangles(scene.goal_pose, *scene.slot_size[0])
         draw_polygons(axes, goal, facecolors="#56B4E9")

@@ -468,11 +468,11 @@ def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored(
     ends = {"scene": range(20), "step": 9, "outcome": "success", "x_m": x, "y_m": y}
     drawing = cell_drawing(pd.DataFrame({**ends, "heading_rad": heading}), stored)
 
-    assert drawing.lot.slots.shape == (1, 18, 3)
-    assert drawing.lot.slot_size[0] == pytest.approx([6.0, (2.4 + 2.85) / 2])
+    assert drawing.scene.slots.shape == (1, 18, 3)
+    assert drawing.scene.slot_size[0] == pytest.approx([6.0, (2.4 + 2.85) / 2])
     middle = np.radians(np.mean(angle))
-    assert drawing.lot.slots[0, :9, 2] == pytest.approx(middle + np.pi)
-    expected = drawing.lot.slots[0, scenes.goal]
+    assert drawing.scene.slots[0, :9, 2] == pytest.approx(middle + np.pi)
+    expected = drawing.scene.slots[0, scenes.goal]
     assert np.abs(expected - scenes.goal_pose)[:, :2].max() > 0.5
     places = drawing.paths[["x_m", "y_m"]].to_numpy()
     np.testing.assert_allclose(places, expected[:, :2], rtol=0, atol=1e-12)
@@ -484,7 +484,7 @@ def test_a_report_of_runs_without_paths_draws_the_lot_alone():
     nothing = pd.DataFrame({"run_id": [], "scene": [], "step": [], "outcome": []})
     drawing = cell_drawing(nothing, {"env.vehicles_count": 0, "env.add_walls": False})
     assert not drawing.walls
-    assert drawing.lot.slots.shape == (1, 28, 3)
+    assert drawing.scene.slots.shape == (1, 28, 3)
     assert drawing.paths.empty
 
 

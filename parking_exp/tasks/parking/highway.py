@@ -45,7 +45,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
 def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.Env:
     """Make one parking env; `render_mode` is None or `rgb_array`."""
-    env = _make_lot(config, render_mode)
+    env = _make_pose_env(config, render_mode)
     observation = config.observation
     if observation.vehicles_count:
         env = NearbyVehicles(env, observation.vehicles_count)
@@ -54,9 +54,9 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
     return env
 
 
-def _make_lot(config: ParkingConfig, render_mode: str | None) -> gym.Env:
+def _make_pose_env(config: ParkingConfig, render_mode: str | None) -> gym.Env:
     """Make an env that shows the pose of the car only."""
-    if config.parametric_lots:
+    if config.lot_configs:
         from parking_exp.tasks.parking.lot_env import LotEnv
 
         return OrderEnforcing(LotEnv(config, render_mode))
@@ -84,11 +84,11 @@ def skip_unused_work(env: gym.Env) -> None:
     goal. Three times a step, it looks up the lane of each car, which parking does not use. Motion,
     collisions, rewards and the end of an episode stay highway-env's.
     """
-    lot: Any = env.unwrapped
-    for sensor in (lot.observation_type, lot.observation_type_parking):
+    parking_env: Any = env.unwrapped
+    for sensor in (parking_env.observation_type, parking_env.observation_type_parking):
         sensor.observe = partial(_observe, sensor)
-    any_lane = lot.vehicle.lane_index
-    lot.road.network.get_closest_lane_index = lambda *_: any_lane
+    any_lane = parking_env.vehicle.lane_index
+    parking_env.road.network.get_closest_lane_index = lambda *_: any_lane
 
 
 def _observe(sensor: Any) -> dict[str, np.ndarray]:
@@ -119,10 +119,10 @@ class HighwayBatch(EnvBatch):
 
     def ending(self, row: int) -> PoseInSlot:
         """Return the pose of a car relative to its goal."""
-        lot = self.envs[row].unwrapped
-        car = lot.vehicle
+        parking_env = self.envs[row].unwrapped
+        car = parking_env.vehicle
         goal = car.goal.position, car.goal.heading
         slot_size = (SLOT_LENGTH_M, SLOT_WIDTH_M)
-        if self.config.parametric_lots:
-            slot_size = lot.slot_size
+        if self.config.lot_configs:
+            slot_size = parking_env.slot_size
         return pose_in_slot(car.position, car.heading, car.speed, *goal, slot_size)

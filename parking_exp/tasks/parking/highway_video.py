@@ -44,19 +44,19 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
 
 def _camera(env: gym.Env) -> Callable[[], list[np.ndarray]]:
     """Return a function that draws the whole lot, and returns the frames since its last call."""
-    lot: Any = env.unwrapped
-    render: Callable[[], np.ndarray] = lot.render
+    parking_env: Any = env.unwrapped
+    render: Callable[[], np.ndarray] = parking_env.render
     images: list[np.ndarray] = []
     # highway-env calls it between two policy steps, too.
-    lot.render = lambda: images.append(render())
+    parking_env.render = lambda: images.append(render())
 
     def draw() -> list[np.ndarray]:
-        lot.render()
+        parking_env.render()
         drawn = images.copy()
         images.clear()
         return drawn
 
     env.reset()
     draw()  # makes the viewer, whose camera would follow the car
-    lot.viewer.window_position = lambda: np.zeros(2)
+    parking_env.viewer.window_position = lambda: np.zeros(2)
     return draw

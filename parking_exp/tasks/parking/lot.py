@@ -233,7 +233,7 @@ Lot = HighwayLot | ParametricLot | SeveralLots
 
 def lot_of(config: ParkingConfig) -> Lot:
     """Return the lot of an `env` group, or its lots in one."""
-    lots = config.parametric_lots.values()
+    lots = config.lot_configs.values()
     if lots:
         return sampled_lot(lots, config.vehicles_count)
     return HighwayLot(config.vehicles_range, config.obstacles)

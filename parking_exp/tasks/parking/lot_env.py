@@ -27,7 +27,7 @@ class LotEnv(ParkingEnv):
     """
 
     def __init__(self, config: ParkingConfig, render_mode: str | None = None) -> None:
-        self.lot = sampled_lot(config.parametric_lots.values(), config.vehicles_count)
+        self.lot = sampled_lot(config.lot_configs.values(), config.vehicles_count)
         self.goal_reward = reward_of(config)
         super().__init__(config.highway_options(), render_mode)
 

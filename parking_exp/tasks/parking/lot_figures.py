@@ -36,7 +36,7 @@ WALL = "#808286"
 class DrawnLot:
     """What figures show of a cell's lot."""
 
-    lot: Scenes  # one scene, in the middle of all ranges
+    scene: Scenes  # one, in the middle of all ranges
     walls: bool  # whether there are any
     paths: pd.DataFrame  # scene, step, PATH_COLUMNS, outcome; on this lot
 
@@ -82,13 +82,13 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
     highest = max(10.0, 5 * np.ceil(np.nanmax(np.concatenate(failed)) / 5))
     figure, panels = draw_lots(cells)
     for axes, cell, rates in zip(panels, cells, failed, strict=True):
-        lot = cell.drawn.lot
+        scene = cell.drawn.scene
         slots = draw_polygons(
-            axes, _slots(lot), array=rates, cmap="Purples", clim=(0, highest), **OUTLINE
+            axes, _slots(scene), array=rates, cmap="Purples", clim=(0, highest), **OUTLINE
         )
         if len(cells) > 4:  # no room for numbers
             continue
-        for (x, y, _), rate in zip(lot.slots[0], rates, strict=True):
+        for (x, y, _), rate in zip(scene.slots[0], rates, strict=True):
             if np.isfinite(rate):
                 colour = text_colour(slots.to_rgba(rate))
                 axes.text(x, y, f"{rate:.0f}", ha="center", va="center", color=colour, fontsize=5.2)
@@ -103,7 +103,7 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
 
 def _failures(cell: Any) -> np.ndarray:
     """Return the percentage of failed episodes by goal slot, shape (slots,); NaN without any."""
-    rates = np.full(cell.drawn.lot.slots.shape[1], np.nan)
+    rates = np.full(cell.drawn.scene.slots.shape[1], np.nan)
     for row in cell.task_data["slots"]:
         rates[row["slot"]] = percentages([row["crash"], row["timeout"]]).sum()
     return rates
@@ -142,7 +142,7 @@ def draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
     rows = -(-n // columns)
     labels = wrapped_labels(cells, 84 // columns, lines=2)
     n_breaks = max(label.count("\n") for label in labels)
-    length, width = np.max([cell.drawn.lot.box[0] for cell in cells], axis=0)
+    length, width = np.max([cell.drawn.scene.box[0] for cell in cells], axis=0)
     lot_height = (WIDTH_IN - 0.8) / columns * width / length
     figure = new_figure(0.4 + rows * (0.22 + 0.13 * n_breaks + lot_height))
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -161,18 +161,18 @@ def draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
         )
         axes.spines[:].set_visible(False)
         axes.locator_params(nbins=4)
-        lot = cell.drawn.lot
-        draw_polygons(axes, _slots(lot), facecolors="none", **OUTLINE)
+        scene = cell.drawn.scene
+        draw_polygons(axes, _slots(scene), facecolors="none", **OUTLINE)
         if cell.drawn.walls:
-            box = rectangles(np.zeros((1, 3)), *lot.box[0])
+            box = rectangles(np.zeros((1, 3)), *scene.box[0])
             style = {"facecolors": "none", "edgecolors": WALL, "linewidths": 1.8}
             draw_polygons(axes, box, clip_on=False, **style)
     return figure, panels
 
 
-def _slots(lot: Scenes) -> np.ndarray:
+def _slots(scene: Scenes) -> np.ndarray:
     """Return the corners of the slots of one scene, shape (slots, 4, 2) [m]."""
-    return rectangles(lot.slots[0], *lot.slot_size[0])
+    return rectangles(scene.slots[0], *scene.slot_size[0])
 
 
 def draw_polygons(axes: Axes, polygons: np.ndarray, **style: Any) -> PolyCollection:

@@ -165,7 +165,7 @@ class ParkingConfig(TaskConfig):
         return {**data, "lot": None, "lots": complete}
 
     @property
-    def parametric_lots(self) -> dict[str, LotConfig]:
+    def lot_configs(self) -> dict[str, LotConfig]:
         """The lots of scenes by the keys of their sections; none for highway-env's own lot."""
         if self.lots:
             return {f"env.lots.{name}": lot for name, lot in self.lots.items()}
@@ -193,7 +193,7 @@ class ParkingConfig(TaskConfig):
     @property
     def vehicles_range(self) -> tuple[int, int]:
         """The lowest and the highest number of parked cars of a scene."""
-        lots = self.parametric_lots.values()
+        lots = self.lot_configs.values()
         if not lots:
             return bounds(self.vehicles_count)
         ranges = [lot.vehicles_range(self.vehicles_count) for lot in lots]
@@ -221,7 +221,7 @@ class ParkingConfig(TaskConfig):
             )
         if self.policy_frequency > self.simulation_frequency:
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
-        lots = self.parametric_lots
+        lots = self.lot_configs
         if not lots and self.vehicles_range[1] > MAX_VEHICLES:
             yield f"env.vehicles_count: highway-env's own lot has room for {MAX_VEHICLES}"
         if self.standing_reward and not lots:
@@ -248,7 +248,7 @@ class ParkingConfig(TaskConfig):
                 f"add env={self.name}"
             )
         if self.lots and "lot" in changes:
-            sections = ", ".join(self.parametric_lots)
+            sections = ", ".join(self.lot_configs)
             yield f"env.lot: a run keeps its lots one by one; change {sections}"
         if self.lots and "lots" in changes:
             unknown = [name for name in changes["lots"] or () if name not in self.lots]

@@ -113,6 +113,6 @@ class LotReward(ParkingReward):
 
 def reward_of(config: ParkingConfig) -> ParkingReward:
     """Return the reward of an `env` group."""
-    if config.parametric_lots:
+    if config.lot_configs:
         return LotReward.of(config)
     return ParkingReward.of(config)
