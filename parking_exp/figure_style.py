@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-Drawing = tuple[Figure, str]
+CaptionedFigure = tuple[Figure, str]
 """A figure and its caption."""
 
 
@@ -27,7 +27,7 @@ class SectionFigure:
 
     name: str
     title: str
-    draw: Callable[[Any], Iterable[Drawing]]
+    draw: Callable[[Any], Iterable[CaptionedFigure]]
 
 
 WIDTH_IN = 6.8  # of every figure: both columns of a paper

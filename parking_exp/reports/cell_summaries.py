@@ -212,8 +212,10 @@ def _summarise_task(
     task = next(iter(task_reports([cell.task])), None)
     if task is None:
         return {}
-    data = task.rates(final, cell.config)
-    return {"task_data": data, "drawn": task.cell_drawing(paths, cell.config)}
+    return {
+        "task_data": task.cell_data(final, cell.config),
+        "figure_data": task.figure_data(paths, cell.config),
+    }
 
 
 def _average(

@@ -77,7 +77,7 @@ class CellSummary:
     survival: SurvivalCurve | None = None  # of the env steps until 90 % are held
     median_cpu_s: float | None = None  # to 90 %; None where fewer than half of the seeds reach it
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
-    drawn: Any = None  # what figures of its task show beside that; `report.json` lacks it
+    figure_data: Any = None  # what figures of its task show beside that; not in `report.json`
     note: str | None = None  # a sentence about an interval that is too narrow or missing
 
     @property
@@ -209,7 +209,7 @@ class ReportData:
         """Return everything as JSON can hold it, with metrics beside the other numbers."""
         plain = asdict(self)
         for cell in plain["cells"]:
-            del cell["drawn"]
+            del cell["figure_data"]
             cell.update(cell.pop("metrics") | cell.pop("task_data"))
             for seed in cell["seeds"]:
                 seed.update(seed.pop("metrics"))

@@ -227,9 +227,9 @@ def draw(
 def _draw_figure(
     figure: SectionFigure, section: str, report: ReportData, folder: Path, formats: Sequence[str]
 ) -> Iterator[DrawnFigure]:
-    for number, (drawing, caption) in enumerate(figure.draw(report), start=1):
+    for number, (image, caption) in enumerate(figure.draw(report), start=1):
         name = figure.name if number == 1 else f"{figure.name}_{number}"
-        svg = _save(drawing, folder / name, formats)
+        svg = _save(image, folder / name, formats)
         yield DrawnFigure(name, figure.title, clean(caption), svg, section)
 
 

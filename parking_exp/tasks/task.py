@@ -230,14 +230,14 @@ class TaskReport:
     Attributes:
         methods: sentences on how results are defined.
         sections: the sections of the report.
-        rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of
-            its runs, and from its config by dotted keys.
-        cell_drawing: returns what figures show of a cell beside its data, from the paths of one run
-            (seed, step, positions, outcome), which may have none, and from its config by dotted
+        cell_data: returns data of a cell for the sections, from the final episodes (scene, outcome)
+            of its runs, and from its config by dotted keys.
+        figure_data: returns what figures show of a cell beside its data, from the paths of one run
+            (scene, step, positions, outcome), which may have none, and from its config by dotted
             keys.
     """
 
     methods: Sequence[str]
     sections: Sequence["Section"]
-    rates: Callable[["Sequence[pd.DataFrame]", Mapping[str, Any]], dict[str, Any]]
-    cell_drawing: Callable[["pd.DataFrame", Mapping[str, Any]], Any]
+    cell_data: Callable[["Sequence[pd.DataFrame]", Mapping[str, Any]], dict[str, Any]]
+    figure_data: Callable[["pd.DataFrame", Mapping[str, Any]], Any]

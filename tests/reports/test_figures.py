@@ -185,7 +185,7 @@ def test_paths_are_in_the_colour_of_their_outcome_with_the_car_at_the_end_and_cr
         columns=["scene", "step", "x_m", "y_m", "heading_rad", "outcome"],
     )
     without, cell = three.cells[:2]
-    driven = replace(cell, drawn=replace(cell.drawn, paths=paths))
+    driven = replace(cell, figure_data=replace(cell.figure_data, paths=paths))
     (axes,) = axes_of(lot_figures.draw_paths, replace(three, cells=[without, driven]))
     assert axes.get_title(loc="left") == "td3"
 
@@ -205,7 +205,7 @@ def test_paths_are_in_the_colour_of_their_outcome_with_the_car_at_the_end_and_cr
 
 def test_a_lot_without_walls_has_none_in_figures(three):
     cell = three.cells[0]
-    open_lot = replace(cell, drawn=replace(cell.drawn, walls=False))
+    open_lot = replace(cell, figure_data=replace(cell.figure_data, walls=False))
     _, (walled, not_walled) = lot_figures.draw_lots([cell, open_lot])
     assert len(walled.collections) - len(not_walled.collections) == 1
 

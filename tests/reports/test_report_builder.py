@@ -72,9 +72,9 @@ def test_a_cell_has_the_paths_of_its_run_with_the_outcomes_and_report_json_has_n
     frames = replace(results(ALGORITHMS, range(2)), paths=paths)
     made = build_report(frames, ["one"])
     sac, td3 = made.cells
-    assert sac.drawn.paths["outcome"].tolist() == ["success", "success", "timeout"]
-    assert sac.drawn.paths[["x_m", "y_m"]].to_numpy().tolist() == [[0, 0], [1, -1], [0, 0]]
-    assert td3.drawn.paths.empty
+    assert sac.figure_data.paths["outcome"].tolist() == ["success", "success", "timeout"]
+    assert sac.figure_data.paths[["x_m", "y_m"]].to_numpy().tolist() == [[0, 0], [1, -1], [0, 0]]
+    assert td3.figure_data.paths.empty
     assert "x_m" not in json.dumps(made.plain())
 
 

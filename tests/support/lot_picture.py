@@ -24,13 +24,12 @@ def draw():
     for name in LOTS:
         config = compose(f"env={name}", "env.level=normal")
         scene = lot_of(config.env).from_seeds([1])
-        cells.append(
-            SimpleNamespace(label=name, drawn=DrawnLot(scene, walls=True, paths=pd.DataFrame()))
-        )
+        shown = DrawnLot(scene, walls=True, paths=pd.DataFrame())
+        cells.append(SimpleNamespace(label=name, figure_data=shown))
 
     figure, panels = draw_lots(cells)
     for axes, cell in zip(panels, cells, strict=True):
-        scene = cell.drawn.scene
+        scene = cell.figure_data.scene
         parked = scene.vehicle_pose[0][scene.vehicles[0] != NO_SLOT]
         goal = rectangles(scene.goal_pose, *scene.slot_size[0])
         draw_polygons(axes, goal, facecolors="#56B4E9")

@@ -16,7 +16,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.parking_report import cell_drawing, rates
+from parking_exp.tasks.parking.parking_report import cell_data, figure_data
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT
 from parking_exp.tasks.parking.simulator import Simulator
@@ -452,7 +452,7 @@ def test_a_report_has_the_rates_by_slot_of_the_lot_that_was_stored():
     goals = lot_of(config).from_seeds(range(60)).goal
     outcomes = np.where(goals == goals[0], "success", "crash")
     episodes = pd.DataFrame({"scene": range(60), "outcome": outcomes})
-    data = rates([episodes], {"env.vehicles_count": "[9, 16]", **STORED_LOT})
+    data = cell_data([episodes], {"env.vehicles_count": "[9, 16]", **STORED_LOT})
     by_slot = {row["slot"]: row["success"] for row in data["slots"]}
     assert by_slot == {slot: float(slot == goals[0]) for slot in set(goals)}
     assert sum(row["n"] for row in data["slots"]) == 60
@@ -466,26 +466,26 @@ def test_paths_lead_to_the_slots_that_a_report_draws_of_the_lot_that_was_stored(
     scenes = lot.from_seeds(range(20))
     x, y, heading = scenes.goal_pose.T
     ends = {"scene": range(20), "step": 9, "outcome": "success", "x_m": x, "y_m": y}
-    drawing = cell_drawing(pd.DataFrame({**ends, "heading_rad": heading}), stored)
+    shown = figure_data(pd.DataFrame({**ends, "heading_rad": heading}), stored)
 
-    assert drawing.scene.slots.shape == (1, 18, 3)
-    assert drawing.scene.slot_size[0] == pytest.approx([6.0, (2.4 + 2.85) / 2])
+    assert shown.scene.slots.shape == (1, 18, 3)
+    assert shown.scene.slot_size[0] == pytest.approx([6.0, (2.4 + 2.85) / 2])
     middle = np.radians(np.mean(angle))
-    assert drawing.scene.slots[0, :9, 2] == pytest.approx(middle + np.pi)
-    expected = drawing.scene.slots[0, scenes.goal]
+    assert shown.scene.slots[0, :9, 2] == pytest.approx(middle + np.pi)
+    expected = shown.scene.slots[0, scenes.goal]
     assert np.abs(expected - scenes.goal_pose)[:, :2].max() > 0.5
-    places = drawing.paths[["x_m", "y_m"]].to_numpy()
+    places = shown.paths[["x_m", "y_m"]].to_numpy()
     np.testing.assert_allclose(places, expected[:, :2], rtol=0, atol=1e-12)
     # Paths are not turned: cars would not drive along the aisle.
-    np.testing.assert_array_equal(drawing.paths["heading_rad"], heading)
+    np.testing.assert_array_equal(shown.paths["heading_rad"], heading)
 
 
 def test_a_report_of_runs_without_paths_draws_the_lot_alone():
     nothing = pd.DataFrame({"run_id": [], "scene": [], "step": [], "outcome": []})
-    drawing = cell_drawing(nothing, {"env.vehicles_count": 0, "env.add_walls": False})
-    assert not drawing.walls
-    assert drawing.scene.slots.shape == (1, 28, 3)
-    assert drawing.paths.empty
+    shown = figure_data(nothing, {"env.vehicles_count": 0, "env.add_walls": False})
+    assert not shown.walls
+    assert shown.scene.slots.shape == (1, 28, 3)
+    assert shown.paths.empty
 
 
 STORED_LOT = {

@@ -22,7 +22,7 @@ from parking_exp.tasks.parking.features import (
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
-from parking_exp.tasks.parking.parking_report import rates
+from parking_exp.tasks.parking.parking_report import cell_data
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, sampled_places
 
@@ -175,7 +175,7 @@ def test_rates_by_number_of_vehicles_and_their_figure():
         pd.DataFrame({"scene": rows, "outcome": outcomes[rows]})
         for rows in (np.arange(25), np.arange(10, 40))
     ]
-    by_vehicles = rates(runs, {"env.vehicles_count": "[0, 2]"})["vehicles"]
+    by_vehicles = cell_data(runs, {"env.vehicles_count": "[0, 2]"})["vehicles"]
     seen = np.concatenate([numbers[:25], numbers[10:]])
     assert by_vehicles == [
         {
@@ -187,8 +187,8 @@ def test_rates_by_number_of_vehicles_and_their_figure():
         }
         for k in range(3)
     ]
-    assert "vehicles" not in rates(runs, {"env.vehicles_count": 10})
-    assert rates([], {"env.vehicles_count": "[0, 2]"}) == {}
+    assert "vehicles" not in cell_data(runs, {"env.vehicles_count": 10})
+    assert cell_data([], {"env.vehicles_count": "[0, 2]"}) == {}
     cells = [
         SimpleNamespace(id="c0", label="sac", task_data={"vehicles": by_vehicles}),
         SimpleNamespace(task_data={}),

@@ -14,7 +14,7 @@ from parking_exp import compose, train
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.evaluation.agents import find_agent
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.parking_report import cell_drawing, rates
+from parking_exp.tasks.parking.parking_report import cell_data, figure_data
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT
 from parking_exp.tasks.parking.stored_lot import stored_lot
@@ -123,12 +123,12 @@ def test_a_report_has_no_picture_by_slot_and_rates_by_number_of_cars():
         np.testing.assert_array_equal(array, getattr(again, name))
 
     episodes = pd.DataFrame({"scene": range(60), "outcome": "success"})
-    data = rates([episodes], stored)
+    data = cell_data([episodes], stored)
     n_cars, n_scenes = np.unique((scenes.vehicles != NO_SLOT).sum(axis=1), return_counts=True)
     assert [row["vehicles"] for row in data["vehicles"]] == n_cars.tolist()
     assert [row["n"] for row in data["vehicles"]] == n_scenes.tolist()
     assert "slots" not in data
-    assert cell_drawing(episodes, stored) is None
+    assert figure_data(episodes, stored) is None
 
 
 @pytest.fixture(scope="module")

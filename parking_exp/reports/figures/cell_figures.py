@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from parking_exp.figure_style import (
     INK,
     SMALL_PT,
+    CaptionedFigure,
     CellStyle,
-    Drawing,
     cell_style,
     new_figure,
     percentages,
@@ -42,7 +42,7 @@ def _count_seeds(counts: Sequence[int]) -> str:
     return text if len(set(counts)) == 1 else f"{min(counts)} to {text}"
 
 
-def draw_final_success(report: ReportData) -> Iterator[Drawing]:
+def draw_final_success(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw every seed as a point, and each cell's mean with its interval."""
     cells = report.shown_cells
     if all(cell.success.value is None for cell in cells):
@@ -80,7 +80,7 @@ def _draw_seeds_and_mean(axes: Axes, row: int, cell: CellSummary) -> None:
     axes.plot(mean, row + 0.24, markersize=4.2, **style.points)
 
 
-def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
+def draw_learning_curves(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw mean success with the range of the seeds, and mean failure rate, against env steps."""
     cells = [cell for cell in report.shown_cells if cell.curve and len(cell.curve.step) > 1]
     if not cells:
@@ -135,7 +135,7 @@ def _new_figure_with_legend(height: float, cells: Sequence[CellSummary]) -> Figu
     return figure
 
 
-def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
+def draw_time_to_90(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw the share of seeds that have reached 90 %, by env steps."""
     cells = [cell for cell in report.shown_cells if cell.survival]
     curves = [cell.survival for cell in cells if cell.survival]

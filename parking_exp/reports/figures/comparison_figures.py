@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from parking_exp.figure_style import (
     INK,
     SMALL_PT,
-    Drawing,
+    CaptionedFigure,
     new_figure,
     percentages,
     row_axes,
@@ -21,7 +21,7 @@ from parking_exp.reports.formats import VERDICTS, level, p_value, points_interva
 from parking_exp.reports.report_data import Pair, ReportData
 
 
-def draw_pairs(report: ReportData) -> Iterator[Drawing]:
+def draw_pairs(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw the differences of final success between cells, in as many figures as they need."""
     names = dict(zip(report.shown, wrapped_labels(report.shown_cells, 36, lines=3), strict=True))
     pairs = []
@@ -63,7 +63,7 @@ def _draw_differences(pairs: Sequence[Pair], labels: Sequence[str]) -> Figure:
     return figure
 
 
-def draw_two_factors(report: ReportData) -> Iterator[Drawing]:
+def draw_two_factors(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw mean success by the two crossed factors that do most, over the other settings."""
     effects = report.effects_by_size[:2]
     if len(effects) < 2:

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.ticker import LogLocator, NullLocator
 
-from parking_exp.figure_style import WIDTH_IN, Drawing, report_style
+from parking_exp.figure_style import WIDTH_IN, CaptionedFigure, report_style
 from parking_exp.reports.report_data import ReportData
 from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.trials import OBJECTIVE, rank_trials
@@ -63,7 +63,7 @@ def _plot(name: str, search: StoredSearch, height: float = 3.0, **arguments: Any
     return figure
 
 
-def draw_history(report: ReportData) -> Iterator[Drawing]:
+def draw_history(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw the value of each trial and the best so far."""
     search = report.tuning
     if search is not None and len(rank_trials(search.trials)) > 1:
@@ -71,7 +71,7 @@ def draw_history(report: ReportData) -> Iterator[Drawing]:
         yield figure, f"{OBJECTIVE} of each trial that is done, and the best so far."
 
 
-def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
+def draw_parameter_importance(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw the importance of parameters, if enough trials differ in their values."""
     search = report.tuning
     if search is None:
@@ -86,7 +86,7 @@ def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
         )
 
 
-def draw_slices(report: ReportData) -> Iterator[Drawing]:
+def draw_slices(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw the objective against each parameter, some parameters to a figure."""
     search = report.tuning
     if search is None or len(rank_trials(search.trials)) < 2:

@@ -336,7 +336,7 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
         row["seeds"] = cell.success.n
         for stage, n_runs in cell.counts.items():
             row[f"runs_{stage}"] = n_runs
-        numbers = row_of(cell, without=("id", "label", "drawn"))
+        numbers = row_of(cell, without=("id", "label", "figure_data"))
         rows.append(row | numbers | row_of(cell.metrics))
     return rows
 

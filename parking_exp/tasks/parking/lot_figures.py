@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from parking_exp.figure_style import (
     GRID,
     WIDTH_IN,
-    Drawing,
+    CaptionedFigure,
     cell_style,
     new_figure,
     percentages,
@@ -41,16 +41,18 @@ class DrawnLot:
     paths: pd.DataFrame  # scene, step, PATH_COLUMNS, outcome; on this lot
 
 
-def draw_paths(report: Any) -> Iterator[Drawing]:
+def draw_paths(report: Any) -> Iterator[CaptionedFigure]:
     """Draw the paths of the first final episodes of a seed of each cell."""
-    cells = [cell for cell in report.shown_cells if cell.drawn and len(cell.drawn.paths)]
+    cells = [
+        cell for cell in report.shown_cells if cell.figure_data and len(cell.figure_data.paths)
+    ]
     if not cells:
         return
     figure, panels = draw_lots(cells)
     marks = []
     for outcome in DRAWN_OUTCOMES:
         for axes, cell in zip(panels, cells, strict=True):
-            paths = cell.drawn.paths
+            paths = cell.figure_data.paths
             _draw_cars(axes, paths[paths["outcome"] == outcome.name], outcome.colour)
         marks += panels[0].plot([], [], color=outcome.colour, label=outcome.name)
     figure.legend(handles=marks, loc="outside upper center", ncols=len(marks))
@@ -73,7 +75,7 @@ def _draw_cars(axes: Axes, paths: pd.DataFrame, colour: str | None) -> None:
     draw_polygons(axes, cars, facecolors=f"{colour}30", edgecolors=colour, linewidths=0.5)
 
 
-def draw_scene_map(report: Any) -> Iterator[Drawing]:
+def draw_scene_map(report: Any) -> Iterator[CaptionedFigure]:
     """Draw, for each goal slot, the share of episodes that failed."""
     cells = [cell for cell in report.shown_cells if cell.task_data.get("slots")]
     if not cells:
@@ -82,7 +84,7 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
     highest = max(10.0, 5 * np.ceil(np.nanmax(np.concatenate(failed)) / 5))
     figure, panels = draw_lots(cells)
     for axes, cell, rates in zip(panels, cells, failed, strict=True):
-        scene = cell.drawn.scene
+        scene = cell.figure_data.scene
         slots = draw_polygons(
             axes, _slots(scene), array=rates, cmap="Purples", clim=(0, highest), **OUTLINE
         )
@@ -103,13 +105,13 @@ def draw_scene_map(report: Any) -> Iterator[Drawing]:
 
 def _failures(cell: Any) -> np.ndarray:
     """Return the percentage of failed episodes by goal slot, shape (slots,); NaN without any."""
-    rates = np.full(cell.drawn.scene.slots.shape[1], np.nan)
+    rates = np.full(cell.figure_data.scene.slots.shape[1], np.nan)
     for row in cell.task_data["slots"]:
         rates[row["slot"]] = percentages([row["crash"], row["timeout"]]).sum()
     return rates
 
 
-def draw_vehicle_rates(report: Any) -> Iterator[Drawing]:
+def draw_vehicle_rates(report: Any) -> Iterator[CaptionedFigure]:
     """Draw success and crashes against the number of parked cars."""
     shown = [cell for cell in report.shown_cells if cell.task_data.get("vehicles")]
     if not shown:
@@ -142,7 +144,7 @@ def draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
     rows = -(-n // columns)
     labels = wrapped_labels(cells, 84 // columns, lines=2)
     n_breaks = max(label.count("\n") for label in labels)
-    length, width = np.max([cell.drawn.scene.box[0] for cell in cells], axis=0)
+    length, width = np.max([cell.figure_data.scene.box[0] for cell in cells], axis=0)
     lot_height = (WIDTH_IN - 0.8) / columns * width / length
     figure = new_figure(0.4 + rows * (0.22 + 0.13 * n_breaks + lot_height))
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -161,9 +163,9 @@ def draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
         )
         axes.spines[:].set_visible(False)
         axes.locator_params(nbins=4)
-        scene = cell.drawn.scene
+        scene = cell.figure_data.scene
         draw_polygons(axes, _slots(scene), facecolors="none", **OUTLINE)
-        if cell.drawn.walls:
+        if cell.figure_data.walls:
             box = rectangles(np.zeros((1, 3)), *scene.box[0])
             style = {"facecolors": "none", "edgecolors": WALL, "linewidths": 1.8}
             draw_polygons(axes, box, clip_on=False, **style)

@@ -51,7 +51,7 @@ def outcome_rates(
     return rates.reset_index().to_dict("records")  # type: ignore[return-value]  # its columns are str
 
 
-def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, Any]:
+def cell_data(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the rates of outcomes by goal slot, and by number of parked cars where that varies.
 
     Args:
@@ -76,7 +76,7 @@ def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, 
     return by_section
 
 
-def cell_drawing(paths: pd.DataFrame, config: Mapping[str, Any]) -> DrawnLot | None:
+def figure_data(paths: pd.DataFrame, config: Mapping[str, Any]) -> DrawnLot | None:
     """Return what figures show of a cell's lot; None if it has several, which no picture shows.
 
     Where slots differ from scene to scene, each path is moved, but not turned, so that its goal is
@@ -138,6 +138,6 @@ PARKING_REPORT = TaskReport(
             tables=[partial(_list_rates, "vehicles")],
         ),
     ],
-    rates=rates,
-    cell_drawing=cell_drawing,
+    cell_data=cell_data,
+    figure_data=figure_data,
 )
