@@ -8,7 +8,6 @@ from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.geometry import SLOT_HEADINGS, SLOT_POSITIONS
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
 
 TOLERANCE = 1e-9
@@ -99,8 +98,9 @@ def repeat(config, scenes, starts, records):
 def different_scenes(seeds, vehicles):
     """Seeds whose scenes are not what highway-env makes of them."""
     different = []
-    env = make_env(compose(f"env.vehicles_count={vehicles}").env).unwrapped
-    scenes = Scenes.from_seeds(seeds, (vehicles, vehicles))
+    config = compose(f"env.vehicles_count={vehicles}").env
+    env = make_env(config).unwrapped
+    scenes = lot_of(config).from_seeds(seeds)
     for row, seed in enumerate(seeds):
         env.reset(seed=seed)
         objects = [env.vehicle.goal, *env.road.vehicles[1:]]

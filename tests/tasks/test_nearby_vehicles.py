@@ -20,11 +20,13 @@ from parking_exp.tasks.parking.features import (
     FineEgoFrameExtractor,
 )
 from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway_lot import HighwayLot, sampled_places
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
 from parking_exp.tasks.parking.parking_report import cell_data
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, sampled_places
+from parking_exp.tasks.parking.scenes import NO_SLOT
 
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
@@ -39,11 +41,12 @@ def env_config(vehicles, seen, *overrides):
 
 
 def test_obstacles_are_random_places_in_the_aisle_by_the_documented_rule():
-    scenes = Scenes.from_seeds(range(50), (0, 0), 4)
+    lot = HighwayLot((0, 0), n_obstacles=4)
+    scenes = lot.from_seeds(range(50))
     for seed, places in enumerate(scenes.obstacles):
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)).jumped(2))
         np.testing.assert_array_equal(places, sampled_places(rng, 4))
-    drawn = Scenes.random(np.random.default_rng(0), 5_000, (0, 0), 4).obstacles.reshape(-1, 2)
+    drawn = lot.random(np.random.default_rng(0), 5_000).obstacles.reshape(-1, 2)
     for places in (scenes.obstacles.reshape(-1, 2), drawn):
         assert (np.linalg.norm(places, axis=1) > 6).all()
         assert (np.abs(places) <= [33, 8.5]).all()
@@ -77,7 +80,8 @@ def test_the_wrapper_goes_around_a_users_own_env():
 
 
 def test_a_scenes_number_of_vehicles_follows_the_documented_rule():
-    env, scenes = make_env(env_config("[3,9]", 0)), Scenes.from_seeds(range(40), (3, 9))
+    config = env_config("[3,9]", 0)
+    env, scenes = make_env(config), lot_of(config).from_seeds(range(40))
     numbers = (scenes.vehicles != NO_SLOT).sum(axis=1)
     for seed, number in enumerate(numbers):
         generator = np.random.PCG64(np.random.SeedSequence(seed))
@@ -87,7 +91,8 @@ def test_a_scenes_number_of_vehicles_follows_the_documented_rule():
             assert len(env.unwrapped.road.vehicles) == 1 + number
     assert {*numbers} == {*range(3, 10)}
     # The other draws of a scene are those of a fixed number.
-    np.testing.assert_array_equal(scenes.goal, Scenes.from_seeds(range(40), (0, 0)).goal)
+    fixed = lot_of(env_config(0, 0)).from_seeds(range(40))
+    np.testing.assert_array_equal(scenes.goal, fixed.goal)
 
 
 def test_no_vehicle_stands_in_the_goal_or_on_the_start_by_highway_envs_own_check():
@@ -104,7 +109,8 @@ def test_no_vehicle_stands_in_the_goal_or_on_the_start_by_highway_envs_own_check
 
 
 def test_random_scenes_have_all_numbers_equally_often():
-    scenes = Scenes.random(np.random.default_rng(0), 21_000, (0, 20))
+    lot = HighwayLot((0, 20), n_obstacles=0)
+    scenes = lot.random(np.random.default_rng(0), 21_000)
     counts = np.bincount((scenes.vehicles != NO_SLOT).sum(axis=1), minlength=21)
     assert (np.abs(counts - 1000) < 5 * np.sqrt(1000)).all()
 
@@ -169,7 +175,8 @@ def test_vehicles_as_the_goal_sees_them():
 
 
 def test_rates_by_number_of_vehicles_and_their_figure():
-    numbers = (Scenes.from_seeds(range(40), (0, 2)).vehicles != NO_SLOT).sum(axis=1)
+    scenes = HighwayLot((0, 2), n_obstacles=0).from_seeds(range(40))
+    numbers = (scenes.vehicles != NO_SLOT).sum(axis=1)
     outcomes = np.array(["success", "crash", "timeout"])[numbers]
     runs = [
         pd.DataFrame({"scene": rows, "outcome": outcomes[rows]})

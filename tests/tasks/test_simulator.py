@@ -16,9 +16,9 @@ from parking_exp.config.compose import compose
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.geometry import corners
 from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway_lot import HighwayLot, start_slot
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
-from parking_exp.tasks.parking.scenes import Scenes, start_slot
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.parking.simulator.collisions import separating_axis
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
@@ -155,8 +155,9 @@ def test_scenes_are_highway_envs_bit_for_bit(parked):
 def test_random_scenes_have_the_distribution_of_highway_envs():
     """Two samples of 20,000: goals and parked slots uniform over what is free, headings uniform."""
     n = 20_000
-    drawn = Scenes.random(np.random.default_rng(0), n, (3, 3))
-    seeded = Scenes.from_seeds(range(n), (3, 3))
+    lot = HighwayLot((3, 3), n_obstacles=0)
+    drawn = lot.random(np.random.default_rng(0), n)
+    seeded = lot.from_seeds(range(n))
     for scenes in (drawn, seeded):
         assert abs(scenes.heading.mean() - np.pi) < 5 * (2 * np.pi / np.sqrt(12 * n))
         taken = np.concatenate(
@@ -172,9 +173,10 @@ def test_random_scenes_have_the_distribution_of_highway_envs():
 
 def test_a_scene_does_not_depend_on_its_neighbours():
     config = env_config("env=parking_crowded")
+    lot = lot_of(config)
     actions = np.random.default_rng(0).uniform(-1, 1, (60, 50, 2))
-    together = Simulator(config, Scenes.from_seeds(range(50), (10, 10)))
-    alone = Simulator(config, Scenes.from_seeds([37], (10, 10)))
+    together = Simulator(config, lot.from_seeds(range(50)))
+    alone = Simulator(config, lot.from_seeds([37]))
     for step in range(60):
         many, one = together.step(actions[step]), alone.step(actions[step, 37:38])
         np.testing.assert_array_equal(

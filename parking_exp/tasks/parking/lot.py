@@ -1,13 +1,14 @@
-"""Lots: geometry of parking-v0's own, of parametric ones and of several; sampling of scenes."""
+"""Lots other than highway-env's, parametric ones and several in one; the lot of a config."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import LOT_LENGTH_M, LOT_WIDTH_M, ROW_Y_M, WALL_THICKNESS_M
+from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
+from parking_exp.tasks.parking.highway_lot import HighwayLot
 from parking_exp.tasks.parking.lot_config import GAP_M, SAMPLED_NUMBERS, TINY, LotConfig, LotNumbers
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
@@ -15,31 +16,6 @@ from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 # Of `LotNumbers`, the ones that a scene always takes a number for, and takes first. The others come
 # last, and only those that are ranges: the scenes of lots without such ranges are what they were.
 N_FIRST = 3
-
-
-@dataclass(frozen=True)
-class HighwayLot:
-    """highway-env's own lot: 28 slots in two rows, 70 x 42 m."""
-
-    vehicles_range: tuple[int, int]
-    n_obstacles: int
-    nearest_row_m = ROW_Y_M  # no row is nearer to the middle of the lot
-    size_m = (LOT_LENGTH_M, LOT_WIDTH_M)
-    same_walls = True  # in all scenes
-    turned = True  # equals itself when it is turned by 180 degrees
-    handed = False  # equals its mirror image
-
-    def from_seeds(self, seeds: Sequence[int]) -> Scenes:
-        """Return the scenes of `env.reset(seed=s)` of highway-env."""
-        return Scenes.from_seeds(seeds, self.vehicles_range, self.n_obstacles)
-
-    def random(self, rng: np.random.Generator, n: int) -> Scenes:
-        """Sample scenes of the same distribution, many at once."""
-        return Scenes.random(rng, n, self.vehicles_range, self.n_obstacles)
-
-    def typical(self) -> Scenes:
-        """Return one scene, for drawings of the lot."""
-        return self.from_seeds([0])
 
 
 class SampledLot(ABC):

@@ -6,8 +6,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from parking_exp.tasks.parking.highway_lot import sampled_number
 from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES
-from parking_exp.tasks.parking.scenes import FAR_M, sampled_number
+from parking_exp.tasks.parking.scenes import FAR_M
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
 """Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the

@@ -4,7 +4,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from parking_exp.tasks.parking.scenes import places_of_scene
+from parking_exp.tasks.parking.highway_lot import places_of_scene
 
 
 class RandomObstacles(gym.Wrapper, gym.utils.RecordConstructorArgs):

@@ -1,46 +1,14 @@
-"""Scenes: the initial states of episodes, and those of parking-v0 itself: the car's heading at the
-origin, its goal slot, slots of parked cars.
-"""
+"""Scenes: the initial states of episodes."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import (
-    LOT_LENGTH_M,
-    LOT_WIDTH_M,
-    N_SLOTS,
-    SLOT_HEADINGS,
-    SLOT_LENGTH_M,
-    SLOT_POSES,
-    SLOT_POSITIONS,
-    SLOT_WIDTH_M,
-    SLOTS_PER_ROW,
-    WALL_THICKNESS_M,
-)
+from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 
 NO_SLOT = -1  # of a car that is absent, where a scene has fewer than others
 FAR_M = 1e6  # cars farther away than this count as absent
-# Half the length and width of the area: within the walls, outside of the slots.
-AISLE_M = np.array([33.0, 8.5])
-START_M = 6.0  # distance from the middle of the lot, where the car starts
-
-# Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it
-# up; its heading.
-_START_SLOTS = tuple(
-    int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_PER_ROW, 0])))
-    for row in (0, SLOTS_PER_ROW)
-)
-_START_HEADINGS = SLOT_HEADINGS[list(_START_SLOTS), None]
-_START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
-
-# The geometry of any number of scenes of highway-env's lot: views, which take no memory.
-MOST_SCENES = 10**7
-_ALL_SLOTS = np.broadcast_to(SLOT_POSES, (MOST_SCENES, *SLOT_POSES.shape))
-_ALL_SLOT_SIZES = np.broadcast_to((SLOT_LENGTH_M, SLOT_WIDTH_M), (MOST_SCENES, 2))
-_ALL_BOXES = np.broadcast_to((LOT_LENGTH_M, LOT_WIDTH_M), (MOST_SCENES, 2))
+MOST_SCENES = 10**7  # in a batch: what is equal in all scenes is a view of this length
 
 
 @dataclass(frozen=True)
@@ -81,116 +49,3 @@ class Scenes:
         row, vehicle = np.nonzero(self.vehicles == NO_SLOT)
         poses[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other
         return poses
-
-    @staticmethod
-    def from_seeds(
-        seeds: Sequence[int], vehicles_range: tuple[int, int] = (0, 0), n_obstacles: int = 0
-    ) -> "Scenes":
-        """Make highway-env's own scenes, those of `env.reset(seed=s)`, bit for bit.
-
-        `vehicles_range` are the lowest and the highest number of parked cars, at most 26; see
-        `sampled_number`.
-        """
-        heading = np.empty(len(seeds))
-        number = np.empty(len(seeds), np.int64)
-        slots = np.zeros((len(seeds), 1 + vehicles_range[1]), np.int64)
-        obstacles = np.empty((len(seeds), n_obstacles, 2))
-        for row, seed in enumerate(seeds):
-            # What gymnasium's `np_random(seed)` makes; Generator.choice draws as `integers` does.
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
-            number[row] = sampled_number(rng.bit_generator, *vehicles_range)
-            if n_obstacles:
-                obstacles[row] = places_of_scene(rng.bit_generator, n_obstacles)
-            heading[row] = 2.0 * np.pi * rng.uniform()
-            draws = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + number[row])]
-            slots[row, : len(draws)] = draws
-        return Scenes._from_draws(heading, slots, number, obstacles)
-
-    @staticmethod
-    def random(
-        rng: np.random.Generator,
-        n: int,
-        vehicles_range: tuple[int, int] = (0, 0),
-        n_obstacles: int = 0,
-    ) -> "Scenes":
-        """Sample scenes from the same distribution, many at once."""
-        low, high = vehicles_range
-        heading = 2.0 * np.pi * rng.uniform(size=n)
-        slots = rng.integers(N_SLOTS - 1 - np.arange(1 + high), size=(n, 1 + high))
-        number = rng.integers(low, high + 1, n) if low < high else np.full(n, high)
-        obstacles = sampled_places(rng, n * n_obstacles).reshape(n, n_obstacles, 2)
-        return Scenes._from_draws(heading, slots, number, obstacles)
-
-    @staticmethod
-    def _from_draws(
-        heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray
-    ) -> "Scenes":
-        """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots.
-
-        `number` of the cars count.
-        """
-        taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
-        taken[:, 0] = start_slot(heading)
-        for column in range(draws.shape[1]):
-            slot = draws[:, column].copy()
-            for occupied in np.sort(taken[:, : column + 1], axis=1).T:
-                slot += slot >= occupied
-            taken[:, column + 1] = slot
-        vehicles = taken[:, 2:]
-        vehicles[np.arange(vehicles.shape[1]) >= number[:, None]] = NO_SLOT
-        n = len(heading)
-        start = np.zeros((n, 3))
-        start[:, 2] = heading
-        return Scenes(
-            start=start,
-            goal=taken[:, 1],
-            vehicles=vehicles,
-            obstacles=obstacles,
-            slots=_ALL_SLOTS[:n],
-            slot_size=_ALL_SLOT_SIZES[:n],
-            box=_ALL_BOXES[:n],
-        )
-
-
-def start_slot(heading: np.ndarray) -> np.ndarray:
-    """Return the slot that highway-env takes for the start, which is never a goal; shape (n,).
-
-    It minimises distance plus difference of heading. Of the two slots at each heading, highway-env
-    takes the first.
-    """
-    turn = heading - _START_HEADINGS
-    turn += np.pi
-    turn %= 2 * np.pi
-    turn -= np.pi
-    above, below = _START_DISTANCE_M + np.abs(turn)
-    return np.where(above <= below, *_START_SLOTS)
-
-
-def sampled_number(bit_generator: Any, low: int, high: int) -> int:
-    """Return a scene's number of vehicles, uniform in low ... high; its generator stays as it is.
-
-    The number is sampled by the scene's generator, jumped once: `env.reset(seed=s)` has
-    `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
-    """
-    if low == high:
-        return low
-    return int(np.random.Generator(bit_generator.jumped()).integers(low, high + 1))
-
-
-def sampled_places(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Sample n obstacles' places, shape (n, 2) [m], uniform in the aisle but not at the start."""
-    places = np.empty((0, 2))
-    while len(places) < n:
-        candidates = rng.uniform(-AISLE_M, AISLE_M, (n, 2))
-        distance = np.sqrt((candidates**2).sum(axis=1))
-        places = np.concatenate([places, candidates[distance > START_M]])
-    return places[:n]
-
-
-def places_of_scene(bit_generator: Any, n: int) -> np.ndarray:
-    """Return the places of a scene's obstacles, without using up its random generator.
-
-    They are sampled by that generator, jumped twice: `env.reset(seed=s)` has
-    `sampled_places(Generator(PCG64(SeedSequence(s)).jumped(2)), n)`.
-    """
-    return sampled_places(np.random.Generator(bit_generator.jumped(2)), n)

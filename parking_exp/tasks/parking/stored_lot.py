@@ -7,7 +7,8 @@ import pandas as pd
 import yaml
 from omegaconf import OmegaConf
 
-from parking_exp.tasks.parking.lot import HighwayLot, Lot, sampled_lot
+from parking_exp.tasks.parking.highway_lot import HighwayLot
+from parking_exp.tasks.parking.lot import Lot, sampled_lot
 from parking_exp.tasks.parking.lot_config import LotConfig, bounds
 
 
