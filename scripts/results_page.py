@@ -123,8 +123,9 @@ class Experiment:
 
     def difference(self, first: str, second: str) -> str:
         """Return two cells' difference in success, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
-        pair = self._pair(first, second)
-        return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_corrected)}"
+        difference = self._pair(first, second).difference
+        p = formats.p_value(difference.p_corrected)
+        return f"{formats.points_interval(difference)}, {p}"
 
     def verdict(self, first: str, second: str) -> str:
         """Return the verdict on two cells' difference in success, and its points, e.g. `▲ +9.1`."""

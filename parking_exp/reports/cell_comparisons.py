@@ -102,8 +102,6 @@ def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pa
             a=a.id,
             b=b.id,
             difference=difference,
-            p=difference.p,
-            p_corrected=difference.p_corrected,
             rank_p=rank_p,
             verdict=judge(difference),
         )

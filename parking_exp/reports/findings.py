@@ -8,7 +8,7 @@ from parking_exp.reports.cell_comparisons import judge
 from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import CellSummary, Pair, ReportData
 from parking_exp.reports.report_warnings import FEW_NAMES, list_names
-from parking_exp.statistics import ENOUGH_FOR_A_TEST
+from parking_exp.statistics import ENOUGH_FOR_A_TEST, Difference
 
 TOO_FEW = f": that needs {ENOUGH_FOR_A_TEST} finished seeds of each."
 LEVEL_VERDICTS = {
@@ -90,17 +90,16 @@ def _list_others(pairs: Sequence[Pair], labels: Mapping[str, str]) -> str:
         return list_names([labels[pair.b] for pair in pairs]) + TOO_FEW
 
     by_size = sorted(pairs, key=lambda pair: abs(pair.difference.value or 0.0))
-    gaps = [_write_gap(labels[pair.b], pair) for pair in by_size]
+    gaps = [_write_gap(labels[pair.b], pair.difference) for pair in by_size]
     if len(gaps) > FEW_NAMES:
         return f"{len(gaps)} others, from {gaps[0]} to {gaps[-1]}."
     return f"{'; '.join(gaps)}."
 
 
-def _write_gap(label: str, pair: Pair) -> str:
+def _write_gap(label: str, difference: Difference) -> str:
     """Write `td3 (+26.1 points [+16.9, +35.4], p = 0.0004)`."""
-    return (
-        f"{quoted_label(label)} ({points_interval(pair.difference)}, {p_value(pair.p_corrected)})"
-    )
+    p = p_value(difference.p_corrected)
+    return f"{quoted_label(label)} ({points_interval(difference)}, {p})"
 
 
 def _describe_factors(report: ReportData) -> Iterator[str]:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from parking_exp.config.cell_labels import Factor, Setting
-from parking_exp.statistics import Interval, MainEffect, SurvivalCurve
+from parking_exp.statistics import Difference, Interval, MainEffect, SurvivalCurve
 from parking_exp.tasks.registry import FAILURES
 
 if TYPE_CHECKING:
@@ -98,10 +98,8 @@ class Pair:
 
     a: str  # ids of the cells
     b: str
-    difference: Interval  # mean of a minus mean of b
-    p: float | None  # of the exact permutation test
-    p_corrected: float | None  # for the pairs of the report, as the interval of the difference
-    rank_p: float | None  # of Mann and Whitney's test, corrected as p
+    difference: Difference  # mean of a minus mean of b, corrected for the pairs of the report
+    rank_p: float | None  # of Mann and Whitney's test, corrected likewise
     # `a` or `b` is better, `same`: neither test nor interval finds a difference, `unclear`: one of
     # them does, `unknown`: too few seeds
     verdict: Verdict

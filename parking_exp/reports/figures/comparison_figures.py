@@ -57,7 +57,7 @@ def _draw_differences(pairs: Sequence[Pair], labels: Sequence[str]) -> Figure:
         ends = [pair.difference.low, pair.difference.high]
         axes.plot(percentages(ends), [row, row], color=INK)
         axes.plot(percentages([pair.difference.value]), row, color=INK, marker="o", markersize=5)
-        verdict = f"{VERDICTS[pair.verdict].mark} {p_value(pair.p_corrected)}"
+        verdict = f"{VERDICTS[pair.verdict].mark} {p_value(pair.difference.p_corrected)}"
         text = f"{points_interval(pair.difference)}   {verdict}"
         axes.text(1.02, row, text, transform=at_right, fontsize=SMALL_PT, va="center")
     return figure

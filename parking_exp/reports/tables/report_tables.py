@@ -173,7 +173,10 @@ def pairs(report: ReportData) -> Iterator[Table]:
     rows = []
     for pair in report.pairs:
         labels = {"a_label": report.labels[pair.a], "b_label": report.labels[pair.b]}
-        rows.append(labels | row_of(pair))
+        row = labels | row_of(pair)
+        row["p"] = pair.difference.p
+        row["p_corrected"] = pair.difference.p_corrected
+        rows.append(row)
     yield Table(
         "pairs",
         rows,
