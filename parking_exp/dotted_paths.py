@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import Any
 
-from parking_exp.errors import ConfigError, one_line
+from parking_exp.errors import ConfigError, class_and_message
 
 
 def import_object(path: str, setting: str = "") -> Any:
@@ -22,4 +22,4 @@ def import_object(path: str, setting: str = "") -> Any:
     except Exception as error:  # whatever a module does when it is imported
         prefix = f"{setting}: " if setting else ""
         extra = "; pip install 'parking-exp[contrib]'" if module.startswith("sb3_contrib") else ""
-        raise ConfigError(f"{prefix}{type(error).__name__}: {one_line(error)}{extra}") from error
+        raise ConfigError(f"{prefix}{class_and_message(error)}{extra}") from error

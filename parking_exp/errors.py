@@ -86,6 +86,11 @@ def one_line(error: object) -> str:
     return " ".join(str(error).split())
 
 
+def class_and_message(error: BaseException) -> str:
+    """Return an error's class and message as one line."""
+    return f"{type(error).__name__}: {one_line(error)}"
+
+
 def reason_of_failure(error: BaseException) -> str:
     """Return in one line why a store failed, in the words of the system or sqlite if possible."""
     reported = error

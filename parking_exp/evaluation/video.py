@@ -8,7 +8,7 @@ from typing import Any
 import imageio.v2 as iio
 from PIL import Image
 
-from parking_exp.errors import VideoError, one_line
+from parking_exp.errors import VideoError, class_and_message
 from parking_exp.runs.atomic_files import replacing
 from parking_exp.tasks.task import Policy, Task
 
@@ -26,7 +26,7 @@ def record_video(
     except VideoError as error:
         return str(error)
     except (Exception, SystemExit) as error:
-        return f"no video of {task.env_id}: {type(error).__name__}: {one_line(error)}"
+        return f"no video of {task.env_id}: {class_and_message(error)}"
     return None
 
 

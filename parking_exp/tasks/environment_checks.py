@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from parking_exp.errors import ConfigError, one_line
+from parking_exp.errors import ConfigError, class_and_message
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import (
     RANDOM_STEPS,
@@ -38,7 +38,7 @@ def environment_problem(config: GymnasiumConfig) -> str | None:
         try:
             return _info_problem(reward, env_id) or _reward_problem(reward, env_id)
         except Exception as error:  # whatever a user's environment raises
-            return f"{env_id}: {type(error).__name__}: {one_line(error)}"
+            return f"{env_id}: {class_and_message(error)}"
 
 
 def _space_problem(env: gym.Env, env_id: str) -> str | None:
@@ -98,9 +98,7 @@ def _reward_problem(reward: GymnasiumReward, env_id: str) -> str | None:
     try:
         computed = reward.compute(achieved, desired, infos)
     except Exception as error:  # whatever a function that was not written for batches raises
-        return (
-            f"{env_id}: compute_reward is not vectorised: {type(error).__name__}: {one_line(error)}"
-        )
+        return f"{env_id}: compute_reward is not vectorised: {class_and_message(error)}"
     if len(computed) != len(rewards):
         return (
             f"{env_id}: compute_reward is not vectorised: for {len(infos)} goals it returns "

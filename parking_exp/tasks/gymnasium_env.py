@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from parking_exp.errors import ConfigError, one_line
+from parking_exp.errors import ConfigError, class_and_message
 from parking_exp.phrases import suggestion
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.task import GoalReward
@@ -206,9 +206,7 @@ def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env
         raise ConfigError(f"env.id={config.id}: {error}") from error
     except Exception as error:  # whatever a user's module or class raises
         arguments = f", env.kwargs={config.kwargs}" if config.kwargs else ""
-        raise ConfigError(
-            f"env.id={config.id}{arguments}: {type(error).__name__}: {one_line(error)}"
-        ) from error
+        raise ConfigError(f"env.id={config.id}{arguments}: {class_and_message(error)}") from error
     return GoalInfo(env, config)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Discriminator, Tag
 
 from parking_exp.dotted_paths import import_object
-from parking_exp.errors import ConfigError, one_line
+from parking_exp.errors import ConfigError, class_and_message
 from parking_exp.tasks.custom_config import CLASS_PATH, CustomConfig
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric, load_metrics
@@ -99,7 +99,7 @@ def _make_custom(config: CustomConfig) -> "Task":
     try:
         return task_class(**config.kwargs)
     except Exception as error:  # whatever a constructor raises
-        raise ConfigError(f"{setting}: {type(error).__name__}: {one_line(error)}") from error
+        raise ConfigError(f"{setting}: {class_and_message(error)}") from error
 
 
 def task_reports(tasks: Iterable[str]) -> "Iterator[TaskReport]":

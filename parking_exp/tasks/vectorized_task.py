@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
-from parking_exp.errors import one_line
+from parking_exp.errors import class_and_message
 from parking_exp.tasks.task import EvaluationBatch, GoalReward, Observation, Step, Task
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class VectorizedTask(Task):
         try:
             yield from self._first_step_problems()
         except Exception as error:  # whatever the functions of a subclass raise
-            yield f"env.task: {self.env_id}: {type(error).__name__}: {one_line(error)}"
+            yield f"env.task: {self.env_id}: {class_and_message(error)}"
 
     def _first_step_problems(self) -> Iterator[str]:
         batch = ArrayBatch(self, [0, 1])

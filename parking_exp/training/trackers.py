@@ -7,7 +7,7 @@ from typing import Any
 from hydra.utils import instantiate
 
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import one_line
+from parking_exp.errors import class_and_message
 from parking_exp.terminal import say
 
 
@@ -63,7 +63,6 @@ class RunTrackers:
 
     def _report(self, name: str, error: Exception) -> None:
         say(
-            f"the tracker {name} failed ({type(error).__name__}: {one_line(error)}); the run goes "
-            "on without it",
+            f"the tracker {name} failed ({class_and_message(error)}); the run goes on without it",
             stderr=True,
         )
