@@ -3,6 +3,8 @@
 import difflib
 from collections.abc import Iterable
 
+SIMILAR = 0.75  # similarity from which on a name counts as misspelt: that of `form` and `from`
+
 
 def plural(number: int, noun: str) -> str:
     """Return `1 run`, `2 runs`."""

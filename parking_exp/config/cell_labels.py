@@ -92,11 +92,12 @@ def differing_keys(configs: Sequence[FlatConfig]) -> list[str]:
 
 
 def find_factors(
-    configs: Sequence[FlatConfig], experiments: Sequence[str]
+    configs: Sequence[FlatConfig], experiments: Sequence[str] = ()
 ) -> tuple[list[Factor], list[dict[str, Setting]]]:
     """Return the factors of cells from their configs and experiments, and their values by cell.
 
-    The value is None if a cell's config has no such key.
+    Without experiments, all cells are of the same. The value is None if a cell's config has no such
+    key.
     """
     whole = [with_defaults(config) for config in configs]
     columns = _option_columns(whole, experiments)
@@ -198,7 +199,7 @@ def label_cells(configs: Sequence[FlatConfig], names: Sequence[str]) -> list[str
     trained.
     """
     if len(configs) > 1:
-        factors, settings = find_factors(configs, [""] * len(configs))
+        factors, settings = find_factors(configs)
         return labels_from_factors(factors, settings, names)
     (config,) = configs
     groups = ["algorithm", "buffer"]

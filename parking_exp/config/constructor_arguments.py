@@ -17,7 +17,7 @@ from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LI
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError
-from parking_exp.phrases import did_you_mean, suggestion
+from parking_exp.phrases import SIMILAR, did_you_mean, suggestion
 
 # Base classes of the sections' classes.
 BASES = {
@@ -43,7 +43,6 @@ POLICY = "MultiInputPolicy"
 MIRRORED_POLICIES = "parking_exp.algorithms.mirrored_policies.MIRRORED"
 PLAIN_TYPES = (int, float, bool, str, NoneType)
 CHECKED_TYPES = (Literal, Annotated)  # of annotations that pydantic checks as they are
-SIMILAR = 0.8  # similarity from which on a name counts as misspelt
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps", "goal_selection_strategy"}

@@ -239,7 +239,7 @@ def _env_labels(evaluations: Sequence[Evaluation]) -> list[str]:
     """Return how the env of each evaluation differs from the others, and from that of training."""
     envs = [evaluation.env for evaluation in evaluations]
     envs += [evaluation.agent.config.env for evaluation in evaluations]
-    factors, values = find_factors([_settings(env) for env in envs], [""] * len(envs))
+    factors, values = find_factors([_settings(env) for env in envs])
     labels = [label_factors(factors, row) or "env of training" for row in values]
     return labels[: len(evaluations)]
 

@@ -10,9 +10,7 @@ from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import ConfigModel
 from parking_exp.errors import ConfigError
-from parking_exp.phrases import did_you_mean
-
-SIMILAR = 0.75  # similarity from which on a key counts as misspelt
+from parking_exp.phrases import SIMILAR, did_you_mean
 
 
 class ReportOptions(ConfigModel):
