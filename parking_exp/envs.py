@@ -41,13 +41,13 @@ def make_lot_env(
     Raises:
         ConfigError: there is no such option, level or key, or there can't be such a lot.
     """
-    from parking_exp.tasks.parking.highway import make_env
+    from parking_exp.tasks.parking.highway import make_parking_env
 
     of_level = [] if level is None else [f"env.level={level}"]
     config = compose(f"env={env}", *of_level, *overrides).env
     if not isinstance(config, ParkingConfig) or not config.lot_configs:
         raise ConfigError(f"env={config.name}: it has no lot of its own")
-    return make_env(config, render_mode=render_mode)
+    return make_parking_env(config, render_mode=render_mode)
 
 
 for _id, _env in LOTS.items():

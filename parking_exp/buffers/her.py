@@ -99,7 +99,7 @@ class HerBuffer(DictReplayBuffer):
         self.rng = np.random.default_rng(np.random.randint(2**32, size=4))
 
     @property
-    def real_fraction(self) -> float | None:
+    def real_share(self) -> float | None:
         """Fraction of real transitions among all sampled so far; None before the first."""
         real, virtual = self.sampled
         return real / (real + virtual) if real else None

@@ -13,7 +13,7 @@ from parking_exp.tasks.gymnasium_env import (
     RANDOM_STEPS,
     SUCCESS_KEYS,
     GymnasiumReward,
-    make_env,
+    make_gymnasium_env,
     random_steps,
 )
 from parking_exp.tasks.training_envs import ReplayActions
@@ -150,8 +150,8 @@ def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
 def resumes_exactly(config: GymnasiumConfig) -> bool:
     """Return whether an env continues identically after replaying the actions of another."""
     with (
-        closing(ReplayActions(make_env(config))) as first,
-        closing(ReplayActions(make_env(config))) as second,
+        closing(ReplayActions(make_gymnasium_env(config))) as first,
+        closing(ReplayActions(make_gymnasium_env(config))) as second,
     ):
         return _continues_identically(first, second)
 

@@ -70,7 +70,7 @@ class GymnasiumReward(GoalReward):
     @cached_property
     def env(self) -> gym.Env:
         """Env for `compute_reward`; made late, as this object is pickled for other processes."""
-        return make_env(self.config)
+        return make_gymnasium_env(self.config)
 
     def close(self) -> None:
         """Close the environment if it was made."""
@@ -176,7 +176,7 @@ def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list
     return np.array(achieved), np.array(desired), np.array(rewards), infos
 
 
-def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env:
+def make_gymnasium_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env:
     """Make one environment.
 
     Raises:

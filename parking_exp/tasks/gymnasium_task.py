@@ -19,7 +19,7 @@ from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.environment_checks import environment_problem, resumes_exactly
 from parking_exp.tasks.episode_frames import episode_frames
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.gymnasium_env import make_env
+from parking_exp.tasks.gymnasium_env import make_gymnasium_env
 from parking_exp.tasks.rollout import rollout
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 from parking_exp.tasks.training_envs import ReplayActions
@@ -50,11 +50,11 @@ class GymnasiumTask(Task):
         if self.config.vectorization == "async":
             spec = gym.registry.get(self.config.id)
             return EnvProcesses([partial(_env_of_worker, self.config, spec)] * n_envs)
-        return DummyVecEnv([lambda: ReplayActions(make_env(self.config))] * n_envs)
+        return DummyVecEnv([lambda: ReplayActions(make_gymnasium_env(self.config))] * n_envs)
 
     def evaluation_batch(self, seeds: Sequence[int], simulator: str | None) -> EvaluationBatch:
         """Start the episodes of some seeds; envs are reused."""
-        self._envs += [make_env(self.config) for _ in range(len(seeds) - len(self._envs))]
+        self._envs += [make_gymnasium_env(self.config) for _ in range(len(seeds) - len(self._envs))]
         return EnvBatch(self._envs[: len(seeds)], seeds, "is_failure")
 
     def close(self) -> None:
@@ -69,13 +69,13 @@ class GymnasiumTask(Task):
 
     def _any_env(self) -> gym.Env:
         if not self._envs:
-            self._envs.append(make_env(self.config))
+            self._envs.append(make_gymnasium_env(self.config))
         return self._envs[0]
 
     @cached_property
     def episode_steps(self) -> int:
         """The longest episode."""
-        with closing(make_env(self.config)) as env:
+        with closing(make_gymnasium_env(self.config)) as env:
             return (env.spec and env.spec.max_episode_steps) or 1
 
     def problems(self) -> Iterator[str]:
@@ -98,7 +98,7 @@ class GymnasiumTask(Task):
             raise VideoError(f"no video: env.id={self.env_id} does not render to arrays")
         if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
             os.environ["MUJOCO_GL"] = _mujoco_backend()
-        with closing(make_env(self.config, "rgb_array")) as env:
+        with closing(make_gymnasium_env(self.config, "rgb_array")) as env:
             for seed in seeds:
                 batch = EnvBatch([env], [seed], "is_failure")
                 steps = rollout(policy, batch, [seed])
@@ -152,7 +152,7 @@ def _env_of_worker(config: GymnasiumConfig, spec: EnvSpec | None) -> gym.Env:
     make_output_unfailing()
     if spec is not None:
         gym.registry.setdefault(spec.id, spec)
-    return ReplayActions(make_env(config))
+    return ReplayActions(make_gymnasium_env(config))
 
 
 def _draw(env: gym.Env) -> list[np.ndarray]:

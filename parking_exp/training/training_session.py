@@ -166,8 +166,8 @@ class TrainingSession(RunSession):
     def dump_metrics(self) -> None:
         """Write the logger's row of metrics."""
         buffer = self.model.replay_buffer
-        if isinstance(buffer, HerBuffer) and buffer.real_fraction is not None:
-            self.logger.record("buffer/real_share", buffer.real_fraction)
+        if isinstance(buffer, HerBuffer) and buffer.real_share is not None:
+            self.logger.record("buffer/real_share", buffer.real_share)
         super().dump_metrics()
 
     def final_policy(self) -> AbstractContextManager[None]:

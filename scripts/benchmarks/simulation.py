@@ -11,7 +11,7 @@ from parking_exp import compose
 from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.evaluation.agents import load_model
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
@@ -38,7 +38,7 @@ def stepping(
     overrides = [f"env={option}", f"env.observation.rays={rays}"]
     env: Any = compose(*overrides, f"env.observation.vehicles_count={seen}").env
     unseen: Any = compose(*overrides, "env.observation.vehicles_count=0").env
-    peer = make_env(unseen)
+    peer = make_parking_env(unseen)
     actions = _actions(1)
     peer.reset(seed=0)
 

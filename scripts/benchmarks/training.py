@@ -19,7 +19,7 @@ from parking_exp import compose
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.schema import RunConfig
 from parking_exp.sweeps.single_run import train
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 
@@ -32,7 +32,7 @@ def tutorial(rounds: int, steps: int) -> dict[str, Any]:
     options = ("experiment=tutorial", "torch_threads=1")
     config = compose(*options)
     env: Any = config.env
-    peer = _sb3_model(compose(*options, *sb3_classes("sac")), SAC, Monitor(make_env(env)))
+    peer = _sb3_model(compose(*options, *sb3_classes("sac")), SAC, Monitor(make_parking_env(env)))
     return _training_rates(config, peer, rounds, steps) | {
         "peer": "plain stable-baselines3 + highway-env"
     }

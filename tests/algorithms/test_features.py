@@ -8,7 +8,7 @@ import torch
 
 from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 
 SCALES = [100, 100, 5, 5, 1, 1]
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
@@ -23,7 +23,7 @@ def observed(x, y, heading, speed=0):
 
 def features(car, goal, make=EgoFrameExtractor):
     """Features for (x, y, heading, speed) of the car and the same of the goal."""
-    space = make_env(compose().env).observation_space
+    space = make_parking_env(compose().env).observation_space
     entries = {"observation": observed(*car), "achieved_goal": observed(*car)}
     return make(space)(entries | {"desired_goal": observed(*goal)})[0].tolist()
 

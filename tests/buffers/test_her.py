@@ -280,7 +280,7 @@ def test_what_every_relabelled_transition_carries(
             expected = {"sb3": real_end, "goal": reached}.get(terminated, reached or crashed)
             assert batch.dones[row].item() == expected
             cases.add((bool(reached), crashed))
-    assert ours.real_fraction == (100 + kept) / 500
+    assert ours.real_share == (100 + kept) / 500
     assert len(cases) > 1
     assert (kept > 0) == (collision == "exclude" or (terminated, strategy) == ("env", "episode"))
 
@@ -309,7 +309,7 @@ def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs, monkeypa
     _, counts = np.unique(drawn.numpy(), return_counts=True)
     assert len(counts) == 12 * n_envs
     assert stats.chisquare(counts).pvalue > 1e-3
-    assert ours.real_fraction == 1.0
+    assert ours.real_share == 1.0
 
 
 @pytest.mark.parametrize("strategy", ["future", "random", None])
@@ -331,7 +331,7 @@ def test_saved_in_the_middle_of_episodes_it_continues_identically(
     for _ in range(150):
         fill(transitions, 1, ours, other)
         assert_equal(ours.sample(32), other.sample(32))
-    assert ours.real_fraction == other.real_fraction
+    assert ours.real_share == other.real_share
     assert drawable(ours) == drawable(other)
 
 
@@ -340,7 +340,7 @@ def test_the_number_of_real_transitions_is_rounded_as_in_stable_baselines3():
     for n_sampled_goal, real in ((1, 128), (2, 86), (4, 52), (8, 29)):
         ours, _ = pair(100, 1, 60, n_sampled_goal=n_sampled_goal)
         assert int((ours.sample(256).observations["desired_goal"][:, 0] == -1).sum()) == real
-        assert ours.real_fraction == real / 256
+        assert ours.real_share == real / 256
 
 
 @pytest.mark.parametrize(("at", "changed"), [(0, "next_obs"), (57, "obs")])

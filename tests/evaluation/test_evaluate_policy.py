@@ -19,7 +19,7 @@ from parking_exp.evaluation.evaluate_policy import (
 )
 from parking_exp.tasks.metrics import episode_columns, outcome
 from parking_exp.tasks.parking.driven_path import reeds_shepp_m
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.pose import PoseInSlot, pose_in_slot
@@ -38,7 +38,7 @@ def test_one_row_per_scene_in_the_order_asked_for():
 
 def test_rows_are_what_a_plain_loop_sees():
     env_config = compose("env.duration=6").env
-    env = make_env(env_config)
+    env = make_parking_env(env_config)
     env.reset(seed=1)
     total, steps, done = 0.0, 0, False
     while not done:

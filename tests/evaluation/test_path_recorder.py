@@ -9,7 +9,7 @@ from support.user_tasks import Steps
 from parking_exp.config.compose import compose
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.evaluation.path_recorder import PathRecorder
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.registry import make_task
 
 turn = constant(1.0, 0.3)
@@ -17,7 +17,7 @@ turn = constant(1.0, 0.3)
 
 def driven(env_config, seed):
     """The poses of a car that turns until its episode ends, as highway-env has them."""
-    env = make_env(env_config)
+    env = make_parking_env(env_config)
     env.reset(seed=seed)
     car = env.unwrapped.vehicle
     poses = [[*car.position, car.heading]]

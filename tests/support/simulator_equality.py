@@ -6,7 +6,7 @@ import numpy as np
 
 from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.geometry import SLOT_HEADINGS, SLOT_POSITIONS
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.simulator import Simulator
 
@@ -79,7 +79,7 @@ def repeat(config, scenes, starts, records):
     """Repeat recorded episodes in highway-env; return what differed, at most one entry for each
     scene.
     """
-    env = make_env(config)
+    env = make_parking_env(config)
     mismatches = []
     for row, scene in enumerate(scenes):
         first, _ = env.reset(seed=int(scene))
@@ -99,7 +99,7 @@ def different_scenes(seeds, vehicles):
     """Seeds whose scenes are not what highway-env makes of them."""
     different = []
     config = compose(f"env.vehicles_count={vehicles}").env
-    env = make_env(config).unwrapped
+    env = make_parking_env(config).unwrapped
     scenes = lot_of(config).from_seeds(seeds)
     for row, seed in enumerate(seeds):
         env.reset(seed=seed)

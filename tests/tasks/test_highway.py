@@ -6,7 +6,7 @@ from support.runs import parking_envs
 
 from parking_exp.config.compose import compose
 from parking_exp.tasks.env_batch import EnvBatch
-from parking_exp.tasks.parking.highway import HighwayBatch, make_env
+from parking_exp.tasks.parking.highway import HighwayBatch, make_parking_env
 
 SCENES = range(3)
 MAX_STEPS = 60
@@ -16,7 +16,7 @@ MAX_STEPS = 60
 def test_what_the_cross_check_leaves_out_changes_no_bit_of_a_step(option):
     config = compose(f"env={option}").env
     batch = HighwayBatch(config, SCENES)
-    plain = EnvBatch([make_env(config) for _ in SCENES], SCENES, "crashed")
+    plain = EnvBatch([make_parking_env(config) for _ in SCENES], SCENES, "crashed")
     rng = np.random.default_rng(0)
     bias = rng.uniform(-1, 1, (len(SCENES), 2))
     for _ in range(MAX_STEPS):

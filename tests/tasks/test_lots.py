@@ -14,7 +14,7 @@ from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import load_model
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_report import cell_data, figure_data
 from parking_exp.tasks.parking.reward import reward_of
@@ -193,7 +193,7 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
     by_seed = lot.from_seeds([7])
     for name, array in vars(by_rule).items():
         np.testing.assert_array_equal(array, getattr(by_seed, name))
-    env = make_env(config)
+    env = make_parking_env(config)
     env.reset(seed=7)
     car = env.unwrapped.vehicle
     np.testing.assert_array_equal([*car.position, car.heading], by_seed.start[0])
@@ -351,7 +351,7 @@ def test_a_moving_car_does_not_stand_where_its_virtual_goal_moves_as_fast():
 def test_the_first_step_of_a_standing_car_costs_as_much_in_highway_envs_lot():
     rewards = []
     for standing_reward in (0.0, -0.3):
-        env = make_env(env_config("parking_parallel", f"standing_reward={standing_reward}"))
+        env = make_parking_env(env_config("parking_parallel", f"standing_reward={standing_reward}"))
         env.reset(seed=0)
         rewards.append(env.step(np.zeros(2))[1])
     assert rewards[1] - rewards[0] == pytest.approx(-0.3, abs=1e-12)

@@ -19,7 +19,7 @@ from parking_exp.tasks.parking.features import (
     EgoFrameExtractor,
     FineEgoFrameExtractor,
 )
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.highway_lot import HighwayLot, sampled_places
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
@@ -81,7 +81,7 @@ def test_the_wrapper_goes_around_a_users_own_env():
 
 def test_a_scenes_number_of_vehicles_follows_the_documented_rule():
     config = env_config("[3,9]", 0)
-    env, scenes = make_env(config), lot_of(config).from_seeds(range(40))
+    env, scenes = make_parking_env(config), lot_of(config).from_seeds(range(40))
     numbers = (scenes.vehicles != NO_SLOT).sum(axis=1)
     for seed, number in enumerate(numbers):
         generator = np.random.PCG64(np.random.SeedSequence(seed))
@@ -154,7 +154,7 @@ def scene():
 
 def extractor(kind):
     weights = [] if kind is EgoFrameExtractor else [WEIGHTS]
-    return kind(make_env(env_config(2, 3)).observation_space, *weights)
+    return kind(make_parking_env(env_config(2, 3)).observation_space, *weights)
 
 
 def test_vehicles_in_the_cars_frame_exactly():

@@ -15,7 +15,7 @@ from parking_exp.config.compose import compose
 from parking_exp.errors import VideoError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.tasks.parking.episode_recording import MOTION, record_episodes
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.replay_page import render_replay
 from parking_exp.tasks.parking.scene_shapes import scene_shapes
@@ -126,7 +126,7 @@ def test_shapes_of_a_scene_are_those_of_highway_env(overrides):
 
     config = compose(*overrides).env
     scenes = lot_of(config).from_seeds(SEEDS)
-    env = make_env(config)
+    env = make_parking_env(config)
     for row, seed in enumerate(SEEDS):
         shapes = scene_shapes(scenes, row, walls=True)
         env.reset(seed=seed)

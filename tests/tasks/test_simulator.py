@@ -15,7 +15,7 @@ from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.config.compose import compose
 from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.geometry import corners
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.highway_lot import HighwayLot, start_slot
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
@@ -208,7 +208,7 @@ def test_scenes_far_from_contact_are_driven_as_frame_by_frame(option):
 def test_reward_of_a_batch_of_goals_is_highway_envs(option):
     config = env_config(f"env={option}")
     achieved, desired = np.random.default_rng(0).normal(size=(2, 100, 6))
-    dense = make_env(config).unwrapped.compute_reward(achieved, desired, {})
+    dense = make_parking_env(config).unwrapped.compute_reward(achieved, desired, {})
     expected = (
         np.where(dense > -config.success_goal_reward, 0.0, -1.0)
         if option == "parking_sparse"
@@ -216,7 +216,7 @@ def test_reward_of_a_batch_of_goals_is_highway_envs(option):
     )
     for ours in (
         ParkingVecEnv(config, 1),
-        *([make_env(config)] if option == "parking_sparse" else []),
+        *([make_parking_env(config)] if option == "parking_sparse" else []),
     ):
         np.testing.assert_allclose(
             ours.compute_reward(achieved, desired, {}), expected, rtol=0, atol=1e-12

@@ -9,7 +9,7 @@ from support.runs import parking_envs
 
 from parking_exp.config.compose import compose
 from parking_exp.config_model import TRAINING_SEEDS_START
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.pose import pose_in_slot
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
@@ -37,7 +37,7 @@ def trajectory(env, scene):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("option", parking_envs())
 def test_every_env_passes_gymnasiums_checker(option):
-    env = make_env(compose(f"env={option}", "n_envs=1").env)
+    env = make_parking_env(compose(f"env={option}", "n_envs=1").env)
     check_env(env, skip_render_check=True)  # raises where something is wrong
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
@@ -53,7 +53,7 @@ def test_every_env_passes_gymnasiums_checker(option):
 )
 def test_variants_equal_highway_envs_own(option, their_id):
     config = compose(f"env={option}", "n_envs=1").env
-    assert trajectory(make_env(config), 3) == trajectory(gym.make(their_id), 3)
+    assert trajectory(make_parking_env(config), 3) == trajectory(gym.make(their_id), 3)
 
 
 def test_success_of_parking_stop_means_parked():
@@ -83,7 +83,7 @@ def test_success_of_parking_stop_means_parked():
 
 
 def test_a_sparse_step_costs_1_and_a_crash_the_collision_penalty_besides():
-    env = make_env(compose("env=parking_sparse").env)
+    env = make_parking_env(compose("env=parking_sparse").env)
     env.reset(seed=0)
     rewards, terminated = [], False
     while not terminated:

@@ -8,7 +8,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from support.vec_env_equality import step_alike
 
 from parking_exp.config.compose import compose
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 
@@ -18,7 +18,7 @@ def config():
 
 
 def test_spaces_are_highway_envs(config):
-    ours, theirs = ParkingVecEnv(config, 2), make_env(config)
+    ours, theirs = ParkingVecEnv(config, 2), make_parking_env(config)
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
 
@@ -28,7 +28,7 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
     episode included.
     """
     ours = ParkingVecEnv(config.for_training(), 4)
-    theirs = DummyVecEnv([lambda: make_env(config.for_training())] * 4)
+    theirs = DummyVecEnv([lambda: make_parking_env(config.for_training())] * 4)
     ours.seed(7), theirs.seed(7)
     start, their_start = ours.reset(), theirs.reset()
     rng = np.random.default_rng(0)

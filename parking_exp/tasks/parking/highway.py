@@ -43,7 +43,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
         return self.unwrapped.goal_reward(achieved_goal, desired_goal)[0]
 
 
-def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.Env:
+def make_parking_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.Env:
     """Make one parking env; `render_mode` is None or `rgb_array`."""
     env = _make_pose_env(config, render_mode)
     observation = config.observation
@@ -112,7 +112,7 @@ class HighwayBatch(EnvBatch):
     """n scenes of highway-env itself, an env for each, stepped together; never reset by itself."""
 
     def __init__(self, config: ParkingConfig, scenes: Sequence[int]) -> None:
-        super().__init__([make_env(config) for _ in scenes], scenes, "crashed")
+        super().__init__([make_parking_env(config) for _ in scenes], scenes, "crashed")
         self.config = config
         for env in self.envs:
             skip_unused_work(env)

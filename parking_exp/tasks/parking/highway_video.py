@@ -11,7 +11,7 @@ import numpy as np
 
 from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.episode_frames import episode_frames
-from parking_exp.tasks.parking.highway import make_env, skip_unused_work
+from parking_exp.tasks.parking.highway import make_parking_env, skip_unused_work
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.rollout import rollout
 from parking_exp.tasks.task import Policy
@@ -26,7 +26,7 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
     """
     # SDL draws without a display; with its `dummy` driver highway-env would draw nothing at all.
     os.environ["SDL_VIDEODRIVER"] = "offscreen"
-    with closing(make_env(config, render_mode="rgb_array")) as env:
+    with closing(make_parking_env(config, render_mode="rgb_array")) as env:
         draw = _camera(env)
         for scene in scenes:
             batch = EnvBatch([env], [scene], "crashed")

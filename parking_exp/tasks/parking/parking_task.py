@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 
 from parking_exp.tasks.parking.driven_path import DrivenBatch
-from parking_exp.tasks.parking.highway import HighwayBatch, make_env
+from parking_exp.tasks.parking.highway import HighwayBatch, make_parking_env
 from parking_exp.tasks.parking.highway_video import frames
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
@@ -50,7 +50,7 @@ class ParkingTask(Task):
         config = self.config.for_training()
         if config.simulator == "vectorized":
             return ParkingVecEnv(config, n_envs)
-        return DummyVecEnv([lambda: ReplayActions(make_env(config))] * n_envs)
+        return DummyVecEnv([lambda: ReplayActions(make_parking_env(config))] * n_envs)
 
     def evaluation_batch(self, seeds: Sequence[int], simulator: str | None) -> EvaluationBatch:
         """Start the scenes of some seeds: those of `env.reset(seed=s)` of highway-env."""
@@ -76,7 +76,7 @@ class ParkingTask(Task):
         """Make one env of highway-env."""
         from stable_baselines3.common.vec_env import DummyVecEnv
 
-        self._prediction_env = DummyVecEnv([lambda: make_env(self.config)])
+        self._prediction_env = DummyVecEnv([lambda: make_parking_env(self.config)])
         return self._prediction_env
 
     @property

@@ -9,7 +9,7 @@ SETTLING_M = 1.0  # the way on which errors across the path and of the heading s
 GAIN = 0.5  # share of an error along the path that is corrected in a step
 
 
-def controls(
+def follow(
     poses: np.ndarray, references: np.ndarray, sharpest: float, dt: float, frames: int
 ) -> np.ndarray:
     """Return acceleration [m/s2] and steering angle [rad] of cars, shape (n, 2).

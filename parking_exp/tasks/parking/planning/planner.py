@@ -15,7 +15,7 @@ from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import RANGES, ParkingConfig
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.planning.controller import controls
+from parking_exp.tasks.parking.planning.controller import follow
 from parking_exp.tasks.parking.planning.trajectory import Pace, trajectory
 from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
@@ -112,7 +112,7 @@ class Planner(ScriptedPolicy):
             rows.append(plan.trajectory[min(self._step, last)])
         self._step += 1
         poses = observation["achieved_goal"] * SCALES
-        asked = controls(poses, np.array(rows), self._sharpest, self._dt, self._frames)
+        asked = follow(poses, np.array(rows), self._sharpest, self._dt, self._frames)
         actions = 2 * (asked - self._low) / (self._high - self._low) - 1
         return np.clip(actions, -1, 1)
 
