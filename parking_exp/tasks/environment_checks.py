@@ -98,10 +98,10 @@ def _reward_problem(reward: GymnasiumReward, env_id: str) -> str | None:
     try:
         computed = reward.compute(achieved, desired, infos)
     except Exception as error:  # whatever a function that was not written for batches raises
-        return f"{env_id}: compute_reward is not vectorised: {class_and_message(error)}"
+        return f"{env_id}: compute_reward is not vectorized: {class_and_message(error)}"
     if len(computed) != len(rewards):
         return (
-            f"{env_id}: compute_reward is not vectorised: for {len(infos)} goals it returns "
+            f"{env_id}: compute_reward is not vectorized: for {len(infos)} goals it returns "
             f"{len(computed)} rewards"
         )
     failed = np.array([bool(failure_key and info.get(failure_key)) for info in infos])

@@ -50,7 +50,7 @@ def config(env_id, *overrides):
         (f"{TOY}Silent-v0", [], "neither is_success nor success.*env.success_key"),
         (f"{TOY}Broken-v0", [], "env.id=.*Broken-v0: RuntimeError: no licence found"),
         (f"{TOY}BitFlip-v0", ["buffer.relabel_collision=keep"], "buffer.relabel_collision=keep"),
-        (f"{TOY}OneByOne-v0", [], "compute_reward is not vectorised"),
+        (f"{TOY}OneByOne-v0", [], "compute_reward is not vectorized"),
         (
             f"{TOY}OtherReward-v0",
             [],
