@@ -60,6 +60,7 @@ LINK = re.compile(r"\[[^\]]*\]\([^)]*\)")
 NO_BREAK = "\0"  # stands for a space in a link while lines are wrapped
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 COLUMNS = {
+    "seeds": ("seeds", lambda cell: str(len(cell.seeds))),
     "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
     "crash": ("crash, % (range)", lambda cell: _range(cell, "crash")),
     "parked": ("parked, %", lambda cell: formats.percent_interval(cell.metrics["parked"])),
