@@ -45,7 +45,7 @@ class ResultsError(ParkingError, LookupError):
 
 
 class StoreError(ParkingError):
-    """A store or study that can't be used, that rejects a run, or that lacks some."""
+    """A store or study that can't be used, rejects a run, or lacks runs."""
 
 
 class VideoError(ParkingError):

@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Iterable
 
-SIMILAR = 0.75  # similarity from which on a name counts as misspelt: that of `form` and `from`
+SIMILAR = 0.8  # similarity from which on a name counts as misspelt
 
 
 def plural(number: int, noun: str) -> str:

@@ -141,8 +141,8 @@ class Experiment:
     def cpu_time_ratio(self, first: str, second: str) -> str:
         """Return the second cell's CPU time until success stays at 95 %, divided by the first's.
 
-        It has a 95 % interval, e.g. `250 [210, 300]`: see `ratio_of_times`. Success stays where it
-        does in three evaluations in a row.
+        It has a 95 % interval, e.g. `250 [210, 300]`: see `ratio_of_times`. Success stays at 95 %
+        from the first of three evaluations in a row that have it.
         """
         ratio = ratio_of_times(self._cpu_s_to_95(second), self._cpu_s_to_95(first))
         value, low, high = (f"{number:.0f}" for number in ratio)

@@ -96,7 +96,7 @@ def find_factors(
 ) -> tuple[list[Factor], list[dict[str, Setting]]]:
     """Return the factors of cells from their configs and experiments, and their values by cell.
 
-    Without experiments, all cells are of the same. The value is None if a cell's config has no such
+    Without `experiments`, all cells belong to one. The value is None if a cell's config has no such
     key.
     """
     whole = [with_defaults(config) for config in configs]

@@ -10,7 +10,7 @@ from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import ConfigModel
 from parking_exp.errors import ConfigError
-from parking_exp.phrases import SIMILAR, did_you_mean
+from parking_exp.phrases import did_you_mean
 
 
 class ReportOptions(ConfigModel):
@@ -76,7 +76,7 @@ def validate_report(config: DictConfig) -> ReportRequest:
             )
     for text in request.cells_asked:
         key, is_condition, _ = text.partition("=")
-        hint = did_you_mean(key, KEYS, cutoff=SIMILAR)
+        hint = did_you_mean(key, KEYS, cutoff=0.75)  # that of `form` and `from`
         if is_condition and hint and key not in KEYS:
             raise ConfigError(f"{key}: there is no such key{hint}")
     return request

@@ -50,7 +50,7 @@ class HighwayLot:
     Attributes:
         vehicles_range: the lowest and the highest number of parked cars, at most 26; see
             `sampled_number`.
-        n_obstacles: their number; see `places_of_scene`.
+        n_obstacles: the number of obstacles; see `places_of_scene`.
     """
 
     vehicles_range: tuple[int, int]
