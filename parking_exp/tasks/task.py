@@ -230,11 +230,11 @@ class TaskReport:
     Attributes:
         methods: sentences on how results are defined.
         sections: the sections of the report.
-        cell_data: returns data of a cell for the sections, from the final episodes (scene, outcome)
-            of its runs, and from its config by dotted keys.
+        cell_data: returns data of a cell for the sections, from the final episodes of its runs
+            (EPISODE_SEED, outcome), and from its config by dotted keys.
         figure_data: returns what figures show of a cell beside its data, from the paths of one run
-            (scene, step, positions, outcome), which may have none, and from its config by dotted
-            keys.
+            (EPISODE_SEED, step, positions, outcome), which may have none, and from its config by
+            dotted keys.
     """
 
     methods: Sequence[str]
