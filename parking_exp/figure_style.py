@@ -2,7 +2,7 @@
 
 import textwrap
 import unicodedata
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,22 +13,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
-
-CaptionedFigure = tuple[Figure, str]
-"""A figure and its caption."""
-
-
-@dataclass(frozen=True)
-class SectionFigure:
-    """A figure of a section of reports, which `draw` draws from a report's data.
-
-    Where it gives several, their names are `NAME`, `NAME_2`, ...
-    """
-
-    name: str
-    title: str
-    draw: Callable[[Any], Iterable[CaptionedFigure]]
-
 
 WIDTH_IN = 6.8  # of every figure: both columns of a paper
 PAGE_IN = 8.4  # height of a figure that leaves room for its caption on a page

@@ -1,9 +1,10 @@
 """Phrases of messages and reports: counted nouns, quoted labels, hints at what was meant."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 SIMILAR = 0.8  # similarity from which on a name counts as misspelt
+FEW_NAMES = 4  # of a list of names, which are written out
 
 
 def plural(number: int, noun: str) -> str:
@@ -14,6 +15,13 @@ def plural(number: int, noun: str) -> str:
 def quoted_label(label: str) -> str:
     """Return a label for a sentence: in quotes if it contains commas."""
     return f"“{label}”" if "," in label or ";" in label else label
+
+
+def list_names(names: Sequence[str]) -> str:
+    """List labels and the like, the first few of many; one that has commas itself is in quotes."""
+    few = [quoted_label(name) for name in names[:FEW_NAMES]]
+    last = f"{len(names) - FEW_NAMES} more" if len(names) > FEW_NAMES else few.pop()
+    return f"{', '.join(few)} and {last}" if few else last
 
 
 def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:

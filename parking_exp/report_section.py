@@ -5,10 +5,13 @@ Their functions take a report's content, a `reports.report_data.ReportData`.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from parking_exp.figure_style import SectionFigure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
+CaptionedFigure = tuple["Figure", str]
+"""A figure and its caption."""
 Row = Mapping[str, Any]
 """Heading in CSV -> value."""
 
@@ -56,8 +59,8 @@ class Table:
 
     name: str  # of its files; unique
     rows: Sequence[Row]  # all values
-    # What people read, see `without_constants` in `reports.tables.table`. Without any, the table is
-    # for CSV alone.
+    # What people read; see `move_constants_to_caption` in `reports.tables.table`. Without any, the
+    # table is for CSV alone.
     columns: Sequence[Column] = ()
     caption: str = ""
     latex: bool = False  # whether it is written as LaTeX, too
@@ -67,6 +70,18 @@ class Table:
     def readable(self) -> bool:
         """Whether there is something to read."""
         return bool(self.rows and self.columns)
+
+
+@dataclass(frozen=True)
+class SectionFigure:
+    """A figure of a section of reports, which `draw` draws from a report's data.
+
+    Where it gives several, their names are `NAME`, `NAME_2`, ...
+    """
+
+    name: str
+    title: str
+    draw: Callable[[Any], Iterable[CaptionedFigure]]
 
 
 @dataclass(frozen=True)

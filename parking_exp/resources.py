@@ -13,14 +13,14 @@ THREAD_VARIABLES = (
 )
 
 
-def cores() -> list[int]:
+def available_cores() -> list[int]:
     """Return the cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
 
 
-def shares(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
+def divide_cores(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
     """Divide cores evenly between workers; if there are fewer cores, several share each."""
     if n_workers >= len(all_cores):
         return [[all_cores[worker % len(all_cores)]] for worker in range(n_workers)]

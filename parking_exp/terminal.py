@@ -121,7 +121,7 @@ class Screen(Console):
         return super().render_str(printable(text), **options)
 
 
-def console(*, stderr: bool = False) -> Console:
+def make_console(*, stderr: bool = False) -> Console:
     """Return a console that does not wrap lines."""
     out = Screen(stderr=stderr, soft_wrap=True)
     return out if out.is_terminal else Screen(stderr=stderr, width=WIDE)
@@ -133,7 +133,7 @@ def is_script() -> bool:
     return program.suffix == ".py" and program.stem in COMMANDS
 
 
-def program(name: str) -> str:
+def command_of(name: str) -> str:
     """Return how to start a command, as this process was: `python scripts/status.py`, or
     `parking-status`.
     """

@@ -51,7 +51,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from parking_exp.resources import cores
+from parking_exp.resources import available_cores
 from parking_exp.runs.atomic_files import read_json, write_json
 
 VERSIONS = ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy", "sbx-rl", "jax")
@@ -85,7 +85,7 @@ def main() -> None:
         )
     except OmegaConfBaseException as error:
         sys.exit(f"error: {str(error).splitlines()[0]}")
-    all_cores = cores()
+    all_cores = available_cores()
     try:
         if settings.core is not None and hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(

@@ -22,6 +22,7 @@ from jinja2 import Environment, StrictUndefined
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from parking_exp.config.settings import display_setting
 from parking_exp.reports import formats
 from parking_exp.reports.cell_comparisons import seed_rates
 from parking_exp.reports.report_builder import build_report
@@ -236,7 +237,7 @@ class Experiment:
             return ""
         if isinstance(value, Integral):
             return f"{value:,}"
-        return formats.display_setting(value)
+        return display_setting(value)
 
     @cached_property
     def _runs(self) -> pd.DataFrame:
@@ -404,7 +405,7 @@ def _row(cells: list[str]) -> str:
 
 def _draw(name: str, report: ReportData) -> None:
     """Draw the figure of an experiment as docs/images/results_NAME.png."""
-    from parking_exp.reports.sections import draw, sections_of
+    from parking_exp.reports.sections import draw_figures, sections_of
 
     wanted = FIGURES.get(name, "final_success")
     sections = []
@@ -412,7 +413,7 @@ def _draw(name: str, report: ReportData) -> None:
         if any(figure.name == wanted for figure in section.figures):
             sections.append(section)
     with TemporaryDirectory() as folder:
-        draw(report, Path(folder), ["png"], sections)
+        draw_figures(report, Path(folder), ["png"], sections)
         shutil.copy(Path(folder) / f"{wanted}.png", DOCS / "images" / f"results_{name}.png")
 
 

@@ -7,7 +7,7 @@ import pytest
 from support.runs import run_script
 from support.sweep_processes import FAILING, QUICK
 
-from parking_exp.resources import cores, cuda_devices, shares
+from parking_exp.resources import available_cores, cuda_devices, divide_cores
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ from parking_exp.resources import cores, cuda_devices, shares
     ],
 )
 def test_cores_are_dealt_out_evenly(n_cores, n_workers, expected):
-    assert shares(range(n_cores), n_workers) == expected
+    assert divide_cores(range(n_cores), n_workers) == expected
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,8 @@ def test_visible_devices_are_those_that_are_shared_out(monkeypatch, visible, exp
 
 @pytest.mark.slow
 @pytest.mark.skipif(
-    not hasattr(os, "sched_getaffinity") or len(cores()) < 2, reason="needs two cores to pin to"
+    not hasattr(os, "sched_getaffinity") or len(available_cores()) < 2,
+    reason="needs two cores to pin to",
 )
 def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_path):
     environment = {**FAILING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
@@ -51,7 +52,7 @@ def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_pa
         (json.loads(path.read_text()) for path in tmp_path.glob("*.json")),
         key=lambda worker: worker["cores"],
     )
-    assert [worker["cores"] for worker in workers] == shares(cores(), 2)
+    assert [worker["cores"] for worker in workers] == divide_cores(available_cores(), 2)
     assert [worker["devices"] for worker in workers] == ["4", "5"]
     for worker in workers:
         assert {*worker["threads"].values(), str(worker["torch"])} == {str(len(worker["cores"]))}

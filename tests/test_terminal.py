@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.table import Table
 
-from parking_exp.terminal import Screen, printable, program, say
+from parking_exp.terminal import Screen, command_of, printable, say
 
 HOSTILE = "a\x1b]0;t\x07\x1b[2J\x9b31m\r\b\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
 SHOWN = r"a\x1b]0;t\x07\x1b[2J\x9b31m\r\x08\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
@@ -51,4 +51,4 @@ def test_a_console_shows_lines_cells_and_headings():
 )
 def test_messages_name_commands_as_this_process_was_started(started, named, monkeypatch):
     monkeypatch.setattr("sys.argv", [started])
-    assert program("status") == named
+    assert command_of("status") == named

@@ -29,10 +29,10 @@ from parking_exp.errors import (
 )
 from parking_exp.terminal import (
     check_output,
+    command_of,
     drop_unwritten_output,
     is_script,
     open_standard_streams,
-    program,
     say,
     unfailing_output,
 )
@@ -128,7 +128,7 @@ def _print_help(config_name: str, overrides: list[str]) -> None:
     finally:
         text = output.getvalue()
         if not is_script():
-            text = re.sub(r"python scripts/(\w+)\.py", lambda match: program(match[1]), text)
+            text = re.sub(r"python scripts/(\w+)\.py", lambda match: command_of(match[1]), text)
             text = re.sub(r"\bconf/", lambda _: f"{config_dir()}/", text)
         sys.stdout.write(text)
         check_output()

@@ -4,9 +4,10 @@ from parking_exp.cli.command import run_command
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.evaluate_run import KEYS_LEFT_OUT, EvaluationRequest, evaluate_runs
+from parking_exp.evaluation.evaluate_run import evaluate_runs
+from parking_exp.evaluation.evaluation_request import KEYS_LEFT_OUT, EvaluationRequest
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.terminal import program, say
+from parking_exp.terminal import command_of, say
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import sync_hint, try_sync
 
@@ -57,7 +58,7 @@ def read_overrides(words: list[str]) -> list[str]:
         section = key.replace("/", ".").partition(".")[0]
         if section in KEYS_LEFT_OUT or (section == "algorithm" and not has_model_file):
             raise ConfigError(
-                f"{word} is a training key; {program('evaluate')} --help lists the keys of this "
+                f"{word} is a training key; {command_of('evaluate')} --help lists the keys of this "
                 "command"
             )
         if f"{key}.".startswith("env.observation.") and not has_model_file:

@@ -12,10 +12,10 @@ from parking_exp.reports.report_request import KEYS, validate_report
 
 def main() -> None:
     """Run the command."""
-    run_command("report", report_once, read_overrides)
+    run_command("report", report, read_overrides)
 
 
-def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
+def report(overrides: list[str], extra_config_dir: str | None) -> None:
     """Write one report."""
     configs = compose_configs("report", overrides, extra_config_dir)
     if len(configs) > 1:

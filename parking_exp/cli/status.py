@@ -13,7 +13,7 @@ from parking_exp.cli.command import rename_experiment, run_command
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.schema import OutputConfig, StoreConfig
-from parking_exp.config.validate import parse
+from parking_exp.config.validate import parse_config
 from parking_exp.config_model import Name
 from parking_exp.errors import ParkingError, RunNotFoundError, StoreError
 from parking_exp.phrases import plural, suggestion
@@ -22,7 +22,7 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_plans import delete_plan, never_began
 from parking_exp.runs.run_state import RunState, as_plain, in_plan_order, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
-from parking_exp.terminal import check_output, console, say
+from parking_exp.terminal import check_output, make_console, say
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import delete_stored, sync_missing
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, read_search
@@ -52,13 +52,13 @@ class StatusRequest(OutputConfig):
 def show_status(overrides: list[str], extra_config_dir: str | None) -> None:
     """Print the progress of runs for each config of the overrides."""
     configs = compose_configs("status", overrides, extra_config_dir)
-    for request in [parse(StatusRequest, config) for config in configs]:
+    for request in [parse_config(StatusRequest, config) for config in configs]:
         show(request)
 
 
 def show(request: StatusRequest) -> None:
     """Print the progress of runs, repeatedly with `watch`."""
-    out = console()
+    out = make_console()
     if request.prune:
         _prune(request)
     if request.sync:

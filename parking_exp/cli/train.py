@@ -6,7 +6,7 @@ from parking_exp.cli.command import run_command
 from parking_exp.config.compose import compose_runs
 from parking_exp.config.rules import update_ratio_warning
 from parking_exp.config.schema import SweepOptions
-from parking_exp.config.validate import parse
+from parking_exp.config.validate import parse_config
 from parking_exp.terminal import say
 
 
@@ -23,7 +23,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
 
     runs = compose_runs("config", overrides, extra_config_dir)
     first = runs[0].cell_config  # all runs have the same keys of the sweep
-    options = parse(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
+    options = parse_config(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
     planned = plan(runs, options.retry)
     for warning in dict.fromkeys(update_ratio_warning(run.config) for run in planned):
         if warning is not None:

@@ -2,25 +2,21 @@
 
 A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are not
 separate factors. Keys that always change together count once. A `label` in the configs takes the
-place of all keys that it determines. Keys that stored configs leave out have their defaults.
+place of all keys that it determines.
 """
 
-import json
-from collections.abc import Collection, Hashable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel
-
-from parking_exp.config.grid import yaml_text
-from parking_exp.config.run_key import changes_results
-from parking_exp.config.schema import BufferConfig
-from parking_exp.tasks.registry import ENV_CONFIGS
-
-Setting = str | int | float | bool | None
-FlatConfig = Mapping[str, Setting]
-"""Dotted keys -> values of one cell."""
+from parking_exp.config.settings import (
+    FlatConfig,
+    Setting,
+    differing_keys,
+    display_setting,
+    hashable,
+    with_defaults,
+)
 
 GROUPS = ("env", "algorithm", "buffer")
 EXPERIMENT = "experiment"
@@ -36,59 +32,6 @@ class Factor:
     name: str  # short, for axes: `n_sampled_goal`
     levels: Sequence[Setting]  # numbers in order
     numeric: bool  # whether all levels are numbers
-
-
-def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Setting]:
-    """Return a nested config as dotted keys; lists become text, as in stores."""
-    flat: dict[str, Setting] = {}
-    for key, value in config.items():
-        if isinstance(value, Mapping) and value:
-            flat |= settings_of(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = str(value) if isinstance(value, list | dict) else value
-    return flat
-
-
-def encode_setting(value: Setting) -> str:
-    """Return a setting as text, for stores and tables; `decode_setting` is its inverse.
-
-    A text that would be read as anything else is in double quotes.
-    """
-    if isinstance(value, str) and decode_setting(value) != value:
-        return json.dumps(value, ensure_ascii=False)
-    return str(value)
-
-
-def decode_setting(text: str | None) -> Setting:
-    """Return a text as a setting: None, a bool, a number or text; lists and mappings stay text."""
-    if text is None or text == "None":
-        return None
-    if text in ("True", "False"):
-        return text == "True"
-    if text.startswith('"'):
-        with suppress(ValueError):  # it only begins with a quotation mark
-            return str(json.loads(text))
-    for number in (int, float):
-        try:
-            return number(text) if "_" not in text else text  # 2024_11 is a name
-        except ValueError:
-            continue
-    return text
-
-
-def can_matter(key: str) -> bool:
-    """Return whether a key other than the seed can change a result."""
-    return key != "seed" and changes_results(key)
-
-
-def differing_keys(configs: Sequence[FlatConfig]) -> list[str]:
-    """Return the keys that can change a result and differ between configs."""
-    differing = []
-    for key in sorted(set().union(*configs)):
-        values = {hashable(config.get(key)) for config in configs}
-        if can_matter(key) and len(values) > 1:
-            differing.append(key)
-    return differing
 
 
 def find_factors(
@@ -111,30 +54,6 @@ def find_factors(
     return factors, settings
 
 
-def with_defaults(config: FlatConfig) -> dict[str, Setting]:
-    """Return a config with the defaults of the keys that stored configs leave out."""
-    whole: dict[str, Setting] = {}
-    if "buffer.name" in config:
-        whole |= _defaults_left_out(BufferConfig, "buffer.")
-    task = config.get("env.task")
-    if task in ENV_CONFIGS:
-        whole |= _defaults_left_out(ENV_CONFIGS[task], "env.")
-    whole |= config
-    return whole
-
-
-def _defaults_left_out(model: type[BaseModel], prefix: str) -> dict[str, Setting]:
-    """Return the defaults of a section's keys that stored configs leave out, as dotted keys."""
-    defaults: dict[str, Setting] = {}
-    for name, field in model.model_fields.items():
-        key = f"{prefix}{name}"
-        if field.exclude_if is not None and field.default is not None:
-            defaults |= settings_of({key: field.default})
-        elif isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            defaults |= _defaults_left_out(field.annotation, f"{key}.")
-    return defaults
-
-
 def _option_columns(
     configs: Sequence[FlatConfig], experiments: Sequence[str]
 ) -> dict[str, list[Setting]]:
@@ -147,7 +66,7 @@ def _option_columns(
         columns[LABEL] = labels
     for group in GROUPS:
         options = [config.get(f"{group}.name") for config in configs]
-        is_labelled = LABEL in columns and _follows(options, labels)
+        is_labelled = LABEL in columns and _is_determined_by(options, labels)
         if len(set(options)) > 1 and not is_labelled:
             columns[group] = options
     return columns
@@ -162,7 +81,7 @@ def _add_key_columns(
     n_distinct = len(set(rows))
     for key in sorted(varying, key=_rank):
         values = [config.get(key) for config in configs]
-        if any(_follows(values, column) for column in options):
+        if any(_is_determined_by(values, column) for column in options):
             continue
         # In a search all keys change together, since the values of each are drawn from a range.
         is_drawn = len(set(map(hashable, values))) == n_distinct >= FEW_CELLS
@@ -241,16 +160,6 @@ def label_factors(factors: Sequence[Factor], settings: Mapping[str, Setting]) ->
     return ", ".join(parts)
 
 
-def display_setting(value: Any) -> str:
-    """Write a config value as YAML would, numbers with six digits."""
-    return f"{value:.6g}" if isinstance(value, float) else yaml_text(value)
-
-
-def hashable(value: Setting) -> Hashable:
-    """Return a setting as a key of a dict, where True and 1 differ."""
-    return (isinstance(value, bool), value)
-
-
 def _factor(key: str, values: Sequence[Setting], keys: Collection[str]) -> Factor:
     """Return the factor of a key, named by the shortest ending of it that is unique among keys."""
     distinct = {hashable(value): value for value in values if value is not None}
@@ -275,15 +184,15 @@ def _short_name(key: str, keys: Collection[str]) -> str:
     return key
 
 
-def _follows(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
-    """Return whether a column determines the values."""
+def _is_determined_by(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
+    """Return whether a column determines values."""
     options = list(map(hashable, column))
     return len(set(zip(options, map(hashable, values), strict=True))) == len(set(options))
 
 
 def _change_together(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
     """Return whether values and a column determine each other."""
-    return _follows(values, column) and _follows(column, values)
+    return _is_determined_by(values, column) and _is_determined_by(column, values)
 
 
 def _with_null(key: str, values: Sequence[Setting], configs: Sequence[FlatConfig]) -> list[Setting]:

@@ -3,10 +3,9 @@
 import copy
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,7 +23,6 @@ from omegaconf.errors import (
     OmegaConfBaseException,
 )
 
-from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.constructor_arguments import argument_hint
 from parking_exp.config.grid import MAX_RUNS, Block, Point, expand_points, read_blocks, seeds_of
 from parking_exp.config.hydra_settings import check_hydra_overrides, check_hydra_settings
@@ -37,6 +35,7 @@ from parking_exp.config.overrides import (
     to_hydra_syntax,
 )
 from parking_exp.config.schema import RunConfig
+from parking_exp.config.settings import settings_of
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, ParkingError, first_line, one_line
 from parking_exp.phrases import suggestion
@@ -118,69 +117,80 @@ def compose_runs(
     Raises:
         ConfigError: an override names no key or option, or the config does not compose.
     """
-    hydra_lines = [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)]
-    check_hydra_overrides(config_name, hydra_lines)
+    hydra_overrides = [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)]
+    check_hydra_overrides(config_name, hydra_overrides)
     with hydra_ready():
-        compose_point = _composer(config_name, hydra_lines)
+        composer = _Composer(config_name, hydra_overrides)
         axes = axes_of(to_hydra_syntax(line) for line in overrides if not is_hydra_override(line))
         experiments = axes.pop("experiment", None)
         if experiments is None:
-            return _runs(compose_point, axes)
+            return _runs(composer, axes)
         runs = []
         for name in experiments:
-            runs += _runs(compose_point, {"experiment": [name], **axes})
+            runs += _runs(composer, {"experiment": [name], **axes})
         return runs
 
 
-def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], ComposedRun]:
-    """Return a function that composes a cell; Hydra composes each choice of options once."""
-    groups = GlobalHydra.instance().config_loader().list_groups("")
+class _Composer:
+    """Composes the cells of a command line; Hydra composes each choice of options once."""
 
-    @cache
-    def compose_with_hydra(*lines: str) -> ComposedRun:
-        try:
-            config = hydra.compose(config_name, [*hydra_lines, *lines], return_hydra_config=True)
-        except ValueError as error:  # a group is set to a number or to null
-            raise ConfigError(f"{' '.join([*hydra_lines, *lines])}: {error}") from error
-        choices = {str(group): option for group, option in config.hydra.runtime.choices.items()}
-        options = {
-            group: option for group, option in choices.items() if not group.startswith("hydra")
-        }
-        # Only files of the user's own set keys of Hydra.
-        if hydra_lines or any("/" in line for line in lines):
-            plain = hydra.compose(config_name, return_hydra_config=True)
-            check_hydra_settings(config_name, config.hydra, plain.hydra)
-        settings = cast(dict[str, Any], OmegaConf.to_container(config.hydra.launcher, resolve=True))
-        with open_dict(config):
-            del config["hydra"]
-        return ComposedRun(
-            config, options=options, launcher=choices["hydra/launcher"], launcher_settings=settings
-        )
+    def __init__(self, config_name: str, hydra_overrides: list[str]) -> None:
+        self._config_name = config_name
+        self._hydra_overrides = hydra_overrides
+        self._groups = GlobalHydra.instance().config_loader().list_groups("")
+        self._composed: dict[Point, ComposedRun] = {}
 
-    def compose_lines(lines: Point) -> ComposedRun:
-        options = [line for line in lines if line.partition("=")[0] in groups and "={" not in line]
-        values = {}
-        for change in parse_overrides(line for line in lines if line not in options):
-            if change.type is not OverrideType.CHANGE or change.package is not None:
-                return compose_with_hydra(*lines).with_values({})
-            values[change.key_or_group] = change.value()
-        return compose_with_hydra(*options).with_values(values)
-
-    def compose_point(lines: Point) -> ComposedRun:
-        run = compose_lines(lines)
-        if any(line.lstrip("+").startswith("env.level=") for line in lines):
+    def compose(self, overrides: Point) -> ComposedRun:
+        """Compose a cell, and check its level."""
+        run = self._compose(overrides)
+        if any(override.lstrip("+").startswith("env.level=") for override in overrides):
             _check_level(run.cell_config.env)
         return run
 
-    return compose_point
+    def _compose(self, overrides: Point) -> ComposedRun:
+        """Compose a cell: its options by Hydra, and the other changes on top of them."""
+        options = [override for override in overrides if self._is_option(override)]
+        values = {}
+        for change in parse_overrides(item for item in overrides if item not in options):
+            if change.type is not OverrideType.CHANGE or change.package is not None:
+                return self._compose_by_hydra(overrides).with_values({})
+            values[change.key_or_group] = change.value()
+        return self._compose_by_hydra(tuple(options)).with_values(values)
+
+    def _is_option(self, override: str) -> bool:
+        """Return whether an override chooses an option of a group."""
+        return override.partition("=")[0] in self._groups and "={" not in override
+
+    def _compose_by_hydra(self, overrides: Point) -> ComposedRun:
+        """Compose overrides by Hydra, each choice once."""
+        if overrides not in self._composed:
+            self._composed[overrides] = self._call_hydra([*self._hydra_overrides, *overrides])
+        return self._composed[overrides]
+
+    def _call_hydra(self, overrides: list[str]) -> ComposedRun:
+        """Compose overrides by Hydra, and separate Hydra's own settings."""
+        try:
+            config = hydra.compose(self._config_name, overrides, return_hydra_config=True)
+        except ValueError as error:  # a group is set to a number or to null
+            raise ConfigError(f"{' '.join(overrides)}: {error}") from error
+        # Only files of the user's own set keys of Hydra.
+        if self._hydra_overrides or any("/" in override for override in overrides):
+            plain = hydra.compose(self._config_name, return_hydra_config=True)
+            check_hydra_settings(self._config_name, config.hydra, plain.hydra)
+        options = {}
+        for group, option in config.hydra.runtime.choices.items():
+            options[str(group)] = option
+        launcher = options["hydra/launcher"]
+        settings = cast(dict[str, Any], OmegaConf.to_container(config.hydra.launcher, resolve=True))
+        with open_dict(config):
+            del config["hydra"]
+        return ComposedRun(config, options=options, launcher=launcher, launcher_settings=settings)
 
 
-def _runs(
-    compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[str]]
-) -> list[ComposedRun]:
+def _runs(composer: _Composer, axes: dict[str, list[str]]) -> list[ComposedRun]:
     """Compose every cell of an experiment with its first seed, then with its second, and so on."""
     experiment = [f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes]
-    base = compose_point(tuple(experiment)).cell_config
+    base = composer.compose(tuple(experiment)).cell_config
     if "seeds" in axes and "seeds" not in base:
         raise ConfigError("seeds: there is no such key; leave it out, this command takes no seeds")
     blocks: list[Block] = []
@@ -197,7 +207,7 @@ def _runs(
 
     def has(key: str, point: Point) -> bool:
         section, _, name = key.rpartition(".")
-        node = OmegaConf.select(compose_point(point).cell_config, section) if section else base
+        node = OmegaConf.select(composer.compose(point).cell_config, section) if section else base
         return isinstance(node, DictConfig) and name in node
 
     all_seeds: list[int] | list[None] = seeds or [None]
@@ -208,7 +218,7 @@ def _runs(
         )
     cells: dict[str, ComposedRun] = {}
     for point in all_points:
-        run = compose_point(point)
+        run = composer.compose(point)
         # Blocks may overlap. Text tells all values apart, as `to_yaml` does in 40 times the time.
         cells[str(run.cell_config)] = run
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from parking_exp.config.cell_labels import settings_of
+from parking_exp.config.settings import settings_of
 from parking_exp.errors import ConfigError
 
 # Set by Hydra itself, or without effect on files and runs; `launcher` for the commands that launch
@@ -47,7 +47,10 @@ def check_hydra_overrides(config_name: str, overrides: Iterable[str]) -> None:
 
 
 def check_hydra_settings(config_name: str, composed: DictConfig, plain: DictConfig) -> None:
-    """Refuse settings of composed files that are not read, unless ours set them; raise as above."""
+    """Refuse settings of composed files that are not read, unless ours set them.
+
+    Raises as `check_hydra_overrides`.
+    """
     given = _settings(composed)
     ours = _settings(plain)
     for key in {**given, **ours}:

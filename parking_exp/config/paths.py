@@ -67,18 +67,18 @@ def default_uri(output_dir: Path) -> str:
     return f"{SQLITE}{output_dir / 'mlflow.db'}"
 
 
-def absolute(uri: str, base: Path | None = None) -> str:
+def absolute_uri(uri: str, base: Path | None = None) -> str:
     """Return a URI whose sqlite path is absolute.
 
     A relative path starts at the base directory, or at the working directory.
     """
-    path = database(uri)
+    path = database_file(uri)
     return uri if path is None else f"{SQLITE}{directory_path((base or Path()) / path)}"
 
 
-def relative(uri: str, base: Path) -> str:
+def relative_uri(uri: str, base: Path) -> str:
     """Return a URI with its sqlite path relative to a base directory, if it is below it."""
-    path = database(absolute(uri))
+    path = database_file(absolute_uri(uri))
     return uri if path is None else f"{SQLITE}{relative_path(path, base)}"
 
 
@@ -91,7 +91,7 @@ def relative_path(path: Path, base: Path) -> str:
     return str(path)
 
 
-def database(uri: str) -> Path | None:
+def database_file(uri: str) -> Path | None:
     """Return the file of an embedded store, None for any other."""
     return Path(uri.removeprefix(SQLITE)) if uri.startswith(SQLITE) else None
 
@@ -106,8 +106,8 @@ def local_folder(uri: str) -> Path | None:
 
 def is_same_store(uri: str, other_uri: str) -> bool:
     """Return whether two URIs name the same store."""
-    file = database(uri)
-    other_file = database(other_uri)
+    file = database_file(uri)
+    other_file = database_file(other_uri)
     if file is None or other_file is None:
         return uri == other_uri
     return resolved(file) == resolved(other_file)

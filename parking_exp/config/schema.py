@@ -27,7 +27,7 @@ from pydantic import (
 from parking_exp.config.argument_limits import OFF_POLICY_ARGUMENTS, SAC_ARGUMENTS, TD3_ARGUMENTS
 from parking_exp.config.paths import (
     SQLITE,
-    absolute,
+    absolute_uri,
     default_uri,
     directory_path,
     refuse_password,
@@ -56,7 +56,7 @@ def _check_store(uri: str) -> str:
             "server"
         )
     if uri.startswith(SQLITE):
-        refuse_question_mark(Path(absolute(uri)))
+        refuse_question_mark(Path(absolute_uri(uri)))
     return uri
 
 
@@ -258,7 +258,7 @@ class RunConfig(OutputConfig):
     @property
     def store_uri(self) -> str:
         """Absolute URI of the MLflow store."""
-        return absolute(self.tracking.uri or default_uri(self.output_path))
+        return absolute_uri(self.tracking.uri or default_uri(self.output_path))
 
     @property
     def cell_key(self) -> str:

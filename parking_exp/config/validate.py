@@ -26,12 +26,8 @@ SWEEP_KEYS = {"seeds", "cells", *SweepOptions.model_fields}
 MAX_ERRORS = 5
 
 
-def refuse(problems: Iterable[str]) -> None:
-    """Refuse a config that has problems.
-
-    Raises:
-        ConfigError: with the first five of them.
-    """
+def raise_problems(problems: Iterable[str]) -> None:
+    """Raise ConfigError with the first five problems, if there are any."""
     distinct = list(dict.fromkeys(problems))  # cells of a sweep may share one
     if distinct:
         raise ConfigError("\n".join(distinct[:MAX_ERRORS]))
@@ -50,13 +46,13 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     """Validate configs: our keys of all, then the arguments of classes; raises as `validate`."""
     runs = []
     for config in configs:
-        runs.append(parse(RunConfig, config, without=SWEEP_KEYS))
-        refuse(rule_problems(runs[-1]))
-    refuse(task_problems(runs))
+        runs.append(parse_config(RunConfig, config, without=SWEEP_KEYS))
+        raise_problems(rule_problems(runs[-1]))
+    raise_problems(task_problems(runs))
     for run in runs:
-        refuse(argument_problems(run))
+        raise_problems(argument_problems(run))
         if run.is_trained:
-            refuse(update_ratio_problems(run))
+            raise_problems(update_ratio_problems(run))
     return runs
 
 
@@ -64,9 +60,10 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
 OF_RESOLVER = "ConfigError raised while resolving interpolation: "
 
 
-def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -> Model:
-    """Resolve interpolations and check a config, less some keys, against a schema; raises as
-    `validate`.
+def parse_config(model: type[Model], config: Config, without: Set[str] = frozenset()) -> Model:
+    """Resolve the interpolations of a config and check it, less some keys, against a schema.
+
+    Raises as `validate`.
     """
     try:
         node = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
@@ -75,18 +72,18 @@ def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -
         raise ConfigError(f"{error.full_key} is missing") from error
     except OmegaConfBaseException as error:
         reason = first_line(error)
-        if reason.startswith(OF_RESOLVER):  # it names the key to mend
+        if reason.startswith(OF_RESOLVER):  # its message names the key
             raise ConfigError(reason.removeprefix(OF_RESOLVER)) from error
         raise ConfigError(f"{error.full_key}: {reason}") from error
-    return check(model, {key: value for key, value in plain.items() if key not in without})
+    return check_schema(model, {key: value for key, value in plain.items() if key not in without})
 
 
-def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
+def check_schema(model: type[Model], plain: Mapping[str, Any]) -> Model:
     """Check plain values against a schema; raises as `validate`."""
     try:
         return model.model_validate(plain)
     except ValidationError as error:
-        refuse(_sentence(item, model) for item in error.errors())
+        raise_problems(_sentence(item, model) for item in error.errors())
         raise
 
 

@@ -17,7 +17,7 @@ from parking_exp.runs.run_files import CONFIG_FILE, read_config
 from parking_exp.runs.run_state import read_state
 from parking_exp.runs.state_tables import run_name
 from parking_exp.runs.trained_here import was_trained_here
-from parking_exp.terminal import program, say
+from parking_exp.terminal import command_of, say
 
 if TYPE_CHECKING:
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -68,7 +68,7 @@ class Agent:
         if not self.config.is_trained:
             raise ModelError(
                 f"algorithm={self.config.algorithm.name} is not trained, so it has no model; "
-                f"`{program('evaluate')}` evaluates it"
+                f"`{command_of('evaluate')}` evaluates it"
             )
         from parking_exp.algorithms.build_model import build_model
         from parking_exp.tasks.registry import make_task
@@ -81,7 +81,10 @@ class Agent:
         return model
 
     def load_into(self, model: "OffPolicyAlgorithm", *, networks_only: bool = False) -> None:
-        """Give a model this agent's weights; of a file that is not a run's, those it has.
+        """Load this agent's weights into a model.
+
+        A run's file has all weights, a policy file those of actor and critics, and a file of plain
+        Stable-Baselines3 the actor's alone.
 
         Args:
             model: the model, with the same networks.

@@ -7,25 +7,21 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
-from pydantic import NonNegativeInt
+from omegaconf import DictConfig
 
-from parking_exp.config.cell_labels import (
-    Setting,
-    display_setting,
-    find_factors,
-    label_factors,
-    settings_of,
-    with_defaults,
-)
+from parking_exp.config.cell_labels import find_factors, label_factors
 from parking_exp.config.paths import resolved
 from parking_exp.config.run_key import short_hash
-from parking_exp.config.schema import RunConfig, StoreConfig
-from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
-from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.config.settings import Setting, display_setting, settings_of, with_defaults
+from parking_exp.config.validate import raise_problems
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, VideoError
-from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
+from parking_exp.evaluation.agents import Agent, find_agents
+from parking_exp.evaluation.evaluation_request import (
+    EvaluationRequest,
+    choose_env,
+    validate_evaluation,
+)
 from parking_exp.evaluation.sb3_model_files import find_agent_in_file, is_model_file
 from parking_exp.phrases import plural
 from parking_exp.runs.atomic_files import write_atomically
@@ -37,52 +33,7 @@ from parking_exp.tasks.registry import EnvConfig, make_task
 from parking_exp.tasks.task import Policy, Task
 from parking_exp.terminal import say
 
-KEYS_LEFT_OUT = ({*RunConfig.model_fields} | SWEEP_KEYS) - {
-    "env",
-    "algorithm",
-    "output_dir",
-    "tracking",
-}
-"""Keys of a run that an evaluation leaves out; an option of `env` may set them."""
 REPLAY_FILE = "replay.html"
-DEFAULT_EPISODES = 100
-PRETRAINED_EPISODES = 20  # the cards of pretrained agents have the rates of 500
-
-
-class ResultsTracking(StoreConfig):
-    """Where results go besides the run directory."""
-
-    mlflow: bool
-
-
-class EvaluatedEnv(ConfigModel):
-    """The env that an agent is evaluated on."""
-
-    env: EnvConfig
-
-
-class EvaluationRequest(AgentRequest):
-    """The config of scripts/evaluate.py."""
-
-    episodes: NumberOfEpisodes | None
-    first_scene: EpisodeSeed
-    simulator: str | None
-    video: NonNegativeInt
-    gif: bool
-    replay: bool
-    name: Name | None
-    tracking: ResultsTracking
-    # An option of `env` with its changes, or changes of the env of training.
-    env: dict[str, Any] | None = None
-    # Of a model file; options of `env` also bring one, for training.
-    algorithm: dict[str, Any] | None = None
-
-    @property
-    def seeds(self) -> range:
-        """Seeds of the episodes."""
-        default = PRETRAINED_EPISODES if is_pretrained(self.run) else DEFAULT_EPISODES
-        n_episodes = self.episodes or default
-        return range(self.first_scene, self.first_scene + n_episodes)
 
 
 @dataclass(frozen=True)
@@ -123,35 +74,16 @@ class Evaluation:
     @property
     def changes(self) -> dict[str, Any]:
         """Keys of `env` that differ from the training env, with their values."""
-        now = _settings(self.env)
-        before = _settings(self.agent.config.env)
+        now = _env_settings(self.env)
+        before = _env_settings(self.agent.config.env)
         differing = [key for key in now | before if now.get(key) != before.get(key)]
         return {key.removeprefix("env."): now.get(key) for key in differing}
 
 
-def _settings(env: EnvConfig) -> dict[str, Setting]:
+def _env_settings(env: EnvConfig) -> dict[str, Setting]:
     """Return what makes the episodes of an env differ, as dotted keys, without the agent's part."""
     plain = {"env": env.model_dump(exclude={"simulator", "metrics", *env.agent_keys})}
     return with_defaults(settings_of(plain))
-
-
-def validate_evaluation(config: DictConfig) -> EvaluationRequest:
-    """Validate a composed config."""
-    request = parse(EvaluationRequest, config, without=KEYS_LEFT_OUT)
-    n_episodes = len(request.seeds)
-    if request.env and "task" in request.env:
-        check(EvaluatedEnv, {"env": request.env})
-    elif is_model_file(request.run):
-        raise ConfigError(
-            f"run={request.run}: name the env that the model is evaluated on, such as env=parking"
-        )
-    if is_model_file(request.run) and request.model != "final":
-        raise ConfigError(f"run={request.run}: a file has no model={request.model}; leave it out")
-    if request.video > n_episodes:
-        raise ConfigError(f"video={request.video} is above episodes; use at most {n_episodes}")
-    if request.gif and not request.video:
-        raise ConfigError("gif=true needs a video; set video=N as well")
-    return request
 
 
 def evaluate_runs(
@@ -198,7 +130,7 @@ def _find_evaluations(requests: Sequence[EvaluationRequest]) -> list[Evaluation]
         for agent in agents:
             evaluated_on = choose_env(request, agent)
             if not agent.config.is_trained:
-                refuse(import_object(agent.config.algorithm.target).problems(evaluated_on))
+                raise_problems(import_object(agent.config.algorithm.target).problems(evaluated_on))
             evaluations.append(Evaluation(request, agent, evaluated_on))
     _check_envs(evaluations)
     return evaluations
@@ -209,7 +141,7 @@ def _check_envs(evaluations: Sequence[Evaluation]) -> None:
     envs = {evaluation.env.model_dump_json(): evaluation.env for evaluation in evaluations}
     for env in envs.values():
         with closing(make_task(env)) as task:
-            refuse([*env.problems(), *task.problems()])
+            raise_problems([*env.problems(), *task.problems()])
 
 
 def _table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, float]]) -> str:
@@ -239,7 +171,7 @@ def _env_labels(evaluations: Sequence[Evaluation]) -> list[str]:
     """Return how the env of each evaluation differs from the others, and from that of training."""
     envs = [evaluation.env for evaluation in evaluations]
     envs += [evaluation.agent.config.env for evaluation in evaluations]
-    factors, values = find_factors([_settings(env) for env in envs])
+    factors, values = find_factors([_env_settings(env) for env in envs])
     labels = [label_factors(factors, row) or "env of training" for row in values]
     return labels[: len(evaluations)]
 
@@ -342,38 +274,3 @@ def _write_replay(policy: Policy, task: Task, evaluation: Evaluation) -> None:
         return
     write_atomically(path, page)
     say(f"replay         {path}")
-
-
-def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
-    """Return the env that an agent is evaluated on, with the agent's observation.
-
-    Raises:
-        ConfigError: its keys are wrong, or it is of another task.
-    """
-    trained_on = agent.config.env
-    requested: Any = request.env or {}
-    if "task" not in requested:  # changes of the env of training
-        refuse(trained_on.change_problems(requested))
-        merged = OmegaConf.merge(trained_on.model_dump(), requested)
-        requested = OmegaConf.to_container(merged)
-    if requested["task"] != trained_on.task:
-        raise ConfigError(
-            f"env={requested.get('name')}: the agent was trained on env={trained_on.name}, which "
-            "is another task"
-        )
-    agent_part = trained_on.model_dump(include={*trained_on.agent_keys})
-    env = check(EvaluatedEnv, {"env": requested | agent_part}).env
-    simulator = request.simulator or env.simulators[-1]  # by default the task's reference
-    if simulator not in env.simulators:
-        raise ConfigError(
-            f"simulator={simulator}: env={env.name} has {' and '.join(env.simulators)}"
-        )
-    if simulator != env.simulator:
-        env = env.model_copy(update={"simulator": simulator})
-    if request.seeds.stop > env.training_seeds.start:
-        highest = env.training_seeds.start - len(request.seeds)
-        raise ConfigError(
-            f"first_scene={request.first_scene} overlaps the training seeds; it can be at most "
-            f"{highest}"
-        )
-    return env

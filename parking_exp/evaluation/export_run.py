@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 
 from parking_exp.config.paths import directory_path, resolved
 from parking_exp.config.schema import LocalPath
-from parking_exp.config.validate import parse
+from parking_exp.config.validate import parse_config
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agent
 from parking_exp.runs.atomic_files import replacing
@@ -27,7 +27,7 @@ class ExportRequest(AgentRequest):
 
 def validate_export(config: DictConfig) -> ExportRequest:
     """Validate a composed config."""
-    request = parse(ExportRequest, config)
+    request = parse_config(ExportRequest, config)
     if request.format == "onnx":
         for name in ("onnx", "onnxruntime"):
             if find_spec(name) is None:

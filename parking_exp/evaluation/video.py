@@ -18,8 +18,10 @@ def record_video(
 ) -> str | None:
     """Record one episode from each seed in one mp4, and with `gif` also a GIF of the same name.
 
-    Return why there is no video, as on a machine that can't render; None if there is one. That is
-    for whatever drivers, bindings, shared libraries and the environment's own code raise.
+    Errors of drivers, shared libraries and the environment's own code cost the video only.
+
+    Returns:
+        None if there is a video, else a sentence that says why there is none.
     """
     try:
         _write_files(policy, task, seeds, path, gif)

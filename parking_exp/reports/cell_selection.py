@@ -14,16 +14,18 @@ from pydantic import TypeAdapter
 from parking_exp.config.cell_labels import (
     LABEL,
     Factor,
-    FlatConfig,
-    Setting,
-    can_matter,
-    display_setting,
     find_factors,
-    hashable,
     label_cells,
     labels_from_factors,
 )
 from parking_exp.config.overrides import without_quotes
+from parking_exp.config.settings import (
+    FlatConfig,
+    Setting,
+    display_setting,
+    distinguishes_cells,
+    hashable,
+)
 from parking_exp.errors import ConfigError
 from parking_exp.phrases import suggestion
 
@@ -163,7 +165,7 @@ def _list_words(cell: CellRuns) -> set[str]:
     """Return the label of a cell, its parts, and `KEY=VALUE` for each end of its config's keys."""
     words = {cell.label, cell.name, *cell.label.split(", ")}
     for key, value in {**cell.config, **cell.settings}.items():
-        if can_matter(key) or key == LABEL:
+        if distinguishes_cells(key) or key == LABEL:
             text = _normalise(display_setting(value))
             words.add(f"{key.removesuffix('.name')}={text}")
             ending = key
@@ -235,10 +237,13 @@ def _split_values(text: str) -> list[str]:
 def find_contrasts(
     cells: Sequence[CellRuns],
 ) -> tuple[list[tuple[CellRuns, CellRuns]], list[str], list[str]]:
-    """Return the pairs that experiments declare as `contrasts`, and what is wrong with others.
+    """Return the pairs of cells that experiments declare as `contrasts`.
 
-    That are the pairs that name no cell, and warnings. Those of an experiment's first run count,
-    and its cells are named as in a report on it alone.
+    Those of an experiment's first run count. They name its cells as in a report on it alone.
+
+    Returns:
+        The pairs; the contrasts that name no cell, as `A minus B`; and warnings, a sentence for
+        each experiment whose contrasts can't be read.
     """
     contrasts: dict[frozenset[tuple[str, str]], tuple[CellRuns, CellRuns]] = {}
     unknown = []

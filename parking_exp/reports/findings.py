@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from parking_exp.config.cell_labels import display_setting
-from parking_exp.phrases import quoted_label
+from parking_exp.config.settings import display_setting
+from parking_exp.phrases import FEW_NAMES, list_names, quoted_label
 from parking_exp.reports.cell_comparisons import judge
 from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import CellSummary, Pair, ReportData
-from parking_exp.reports.report_warnings import FEW_NAMES, list_names
 from parking_exp.statistics import ENOUGH_FOR_A_TEST, Difference
 
 TOO_FEW = f": that needs {ENOUGH_FOR_A_TEST} finished seeds of each."

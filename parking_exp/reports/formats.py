@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from parking_exp.config.cell_labels import display_setting
+from parking_exp.config.settings import display_setting
 from parking_exp.reports.report_data import Verdict
 from parking_exp.statistics import Interval, finite_or_none
 

@@ -32,7 +32,7 @@ from parking_exp.results.frame_export import (
 from parking_exp.results.frames import Results, load, read_store
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.terminal import console, program, say
+from parking_exp.terminal import command_of, make_console, say
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import complete_store
 from parking_exp.tuning.search import StoredSearch
@@ -51,7 +51,7 @@ def make_report(request: ReportRequest) -> Path:
     if export_folder:
         refuse_foreign(export_folder)
     own_sections = load_sections(request.report.sections)
-    with console(stderr=True).status("") as progress:
+    with make_console(stderr=True).status("") as progress:
         source = _read_source(request, progress.update)
         progress.update(f"comparing {plural(len(source.results.runs), 'run')}")
         report = _build_content(request, source)
@@ -114,7 +114,7 @@ def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
         baseline=request.baseline,
         contrast=request.contrast,
         quick=request.report.quick,
-        command=shlex.join([*program("report").split(), *sys.argv[1:]]),
+        command=shlex.join([*command_of("report").split(), *sys.argv[1:]]),
     )
     if request.source is None:
         return with_stored_search(report, request.output_path)

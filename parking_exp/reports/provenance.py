@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
-from parking_exp.config.cell_labels import can_matter, differing_keys, with_defaults
+from parking_exp.config.settings import differing_keys, distinguishes_cells, with_defaults
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import Provenance, UnfinishedRun
 from parking_exp.runs.run_state import STAGE_WORDS
@@ -31,9 +31,10 @@ def collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: 
     configs = [with_defaults(cell.config) for cell in cells]
     difference = {key: [config.get(key) for config in configs] for key in differing_keys(configs)}
     stored = cells[0].config
-    common = {
-        key: value for key, value in stored.items() if can_matter(key) and key not in difference
-    }
+    common = {}
+    for key, value in stored.items():
+        if distinguishes_cells(key) and key not in difference:
+            common[key] = value
     return Provenance(
         versions=versions,
         commits=_count_values(runs["git_commit"].str[:SHORT_COMMIT] + marks),

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from parking_exp.config.cell_labels import Factor, Setting
+from parking_exp.config.cell_labels import Factor
+from parking_exp.config.settings import Setting
 from parking_exp.statistics import Difference, Interval, MainEffect, SurvivalCurve
 from parking_exp.tasks.registry import FAILURES
 

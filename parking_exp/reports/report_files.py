@@ -15,7 +15,7 @@ from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import (
     SectionContent,
-    draw,
+    draw_figures,
     section_contents,
     sections_of,
 )
@@ -33,7 +33,7 @@ def write_report(
     numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as temporary:
         new = Path(temporary)
-        figures = draw(report, new / "figures", formats, sections)
+        figures = draw_figures(report, new / "figures", formats, sections)
         contents = section_contents(report, figures, sections)
         write_tables(contents, new / "tables")
         html = render_page(report, contents)

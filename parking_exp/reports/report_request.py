@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.schema import OutputConfig, StoreConfig
-from parking_exp.config.validate import parse
+from parking_exp.config.validate import parse_config
 from parking_exp.config_model import ConfigModel
 from parking_exp.errors import ConfigError
 from parking_exp.phrases import did_you_mean
@@ -56,7 +56,7 @@ KEYS = {
 
 def validate_report(config: DictConfig) -> ReportRequest:
     """Validate a composed config."""
-    request = parse(ReportRequest, config)
+    request = parse_config(ReportRequest, config)
     if request.source:
         of_stores = {
             "experiment": request.experiments,

@@ -1,28 +1,20 @@
 """The warnings of a report, in sentences: few seeds, mixed conditions, missing runs."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
-from parking_exp.config.cell_labels import Setting, display_setting
-from parking_exp.phrases import plural, quoted_label
+from parking_exp.config.settings import Setting, display_setting
+from parking_exp.phrases import list_names, plural, quoted_label
 from parking_exp.reports.report_data import ReportData
 from parking_exp.runs.run_state import STAGE_WORDS
 from parking_exp.tasks.registry import TRAINING_ONLY
 
 ENOUGH_SEEDS = 10
-FEW_NAMES = 4
 COMPARABLE = {
     "evaluation.first_scene",
     "evaluation.n_scenes",
     "evaluation.every_n_steps",
 }
 """Config keys that should be the same in all cells."""
-
-
-def list_names(names: Sequence[str]) -> str:
-    """List labels and the like, the first few of many; one that has commas itself is in quotes."""
-    few = [quoted_label(name) for name in names[:FEW_NAMES]]
-    last = f"{len(names) - FEW_NAMES} more" if len(names) > FEW_NAMES else few.pop()
-    return f"{', '.join(few)} and {last}" if few else last
 
 
 def find_incomparable(report: ReportData) -> Iterator[str]:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from parking_exp.config.settings import display_setting
 from parking_exp.config_model import NAME
 from parking_exp.errors import ParkingError, first_line
 from parking_exp.phrases import plural
@@ -115,7 +116,7 @@ def _write_parameter(value: Any) -> str:
     """Write a parameter, which trial 0 may lack."""
     if value is None:
         return ""
-    return f"{value:.3g}" if isinstance(value, float) else formats.display_setting(value)
+    return f"{value:.3g}" if isinstance(value, float) else display_setting(value)
 
 
 def retest_table(report: ReportData) -> Iterator[Table]:

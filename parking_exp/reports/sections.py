@@ -11,8 +11,8 @@ import matplotlib.figure
 
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError
-from parking_exp.figure_style import SectionFigure, clean, report_style
-from parking_exp.report_section import Section, Table
+from parking_exp.figure_style import clean, report_style
+from parking_exp.report_section import Section, SectionFigure, Table
 from parking_exp.reports.cell_summaries import HOLD
 from parking_exp.reports.figures.cell_figures import (
     draw_final_success,
@@ -29,11 +29,11 @@ from parking_exp.reports.methods import describe_methods
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import describe_search, retest_table, trial_table
 from parking_exp.reports.tables import report_tables
-from parking_exp.reports.tables.table import without_constants
+from parking_exp.reports.tables.table import move_constants_to_caption
 from parking_exp.tasks.registry import task_reports
 
 
-def what_was_run(report: ReportData) -> Iterator[str]:
+def describe_provenance(report: ReportData) -> Iterator[str]:
     """Yield when and how runs and report were made."""
     origin = report.provenance
     if origin.first and origin.last:
@@ -77,43 +77,43 @@ SECTIONS = (
         "factors",
         "What each factor does",
         figures=[SectionFigure("two_factors", "Success by two factors", draw_two_factors)],
-        tables=[report_tables.factors, report_tables.effects],
+        tables=[report_tables.factors_table, report_tables.effects_table],
     ),
     Section(
         "results",
         "Which is better",
         figures=[SectionFigure("final_success", "Final success, every seed", draw_final_success)],
-        tables=[report_tables.headline, report_tables.means],
+        tables=[report_tables.headline_table, report_tables.means_table],
     ),
     Section(
         "curves",
         "Learning curves",
         text=explain_few_evaluations,
         figures=[SectionFigure("learning_curves", "Learning curves", draw_learning_curves)],
-        tables=[report_tables.curves],
+        tables=[report_tables.curves_table],
     ),
     Section(
         "time",
         "Time to 90 %",
         figures=[SectionFigure("time_to_90", "Time to 90 %", draw_time_to_90)],
-        tables=[report_tables.times, report_tables.survival],
+        tables=[report_tables.times_table, report_tables.survival_table],
     ),
     Section(
         "pairs",
         "Pair by pair",
         figures=[SectionFigure("pairwise", "Differences between cells", draw_pairs)],
-        tables=[report_tables.pairs],
+        tables=[report_tables.pairs_table],
     ),
-    Section("seeds", "Every seed", tables=[report_tables.seeds]),
+    Section("seeds", "Every seed", tables=[report_tables.seeds_table]),
     Section(
         "provenance",
         "What was run",
-        text=what_was_run,
+        text=describe_provenance,
         tables=[
-            report_tables.versions,
-            report_tables.config,
-            report_tables.unfinished,
-            report_tables.common,
+            report_tables.versions_table,
+            report_tables.config_table,
+            report_tables.unfinished_table,
+            report_tables.common_table,
         ],
     ),
     Section("methods", "How it was computed", text=describe_methods),
@@ -172,7 +172,7 @@ class SectionContent:
     @property
     def readable_tables(self) -> list[Table]:
         """The tables that people read."""
-        return [without_constants(table) for table in self.tables if table.readable]
+        return [move_constants_to_caption(table) for table in self.tables if table.readable]
 
 
 def section_contents(
@@ -206,7 +206,7 @@ def _refuse_repeats(kind: str, names: Sequence[str]) -> None:
             raise ConfigError(f"report.sections: {count} {kind} have the name {name}; rename yours")
 
 
-def draw(
+def draw_figures(
     report: ReportData,
     folder: Path,
     formats: Sequence[str] = ("svg", "png"),

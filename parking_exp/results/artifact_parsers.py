@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.cell_labels import FlatConfig, settings_of
+from parking_exp.config.settings import FlatConfig, settings_of
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.runs.atomic_files import parse_plain_yaml
 from parking_exp.tasks.metrics import EPISODE_SEED

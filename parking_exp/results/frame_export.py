@@ -14,8 +14,8 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.config.cell_labels import decode_setting, encode_setting
 from parking_exp.config.paths import directory_path
+from parking_exp.config.settings import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.artifact_parsers import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
 from parking_exp.results.frames import (

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.cell_labels import FlatConfig, Setting
-from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
+from parking_exp.config.paths import database_file, default_uri, directory_path, refuse_password
+from parking_exp.config.settings import FlatConfig, Setting
 from parking_exp.errors import ParkingError, ResultsError, reason_of_failure
 from parking_exp.phrases import suggestion
 from parking_exp.results.artifact_parsers import (
@@ -29,7 +29,7 @@ from parking_exp.results.artifact_parsers import (
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
 from parking_exp.runs.run_files import CONFIG_FILE, PATHS_FILE
 from parking_exp.tasks.registry import METRICS, added_metrics
-from parking_exp.tracking.embedded_store import prepare
+from parking_exp.tracking.embedded_store import rebuild_if_unusable
 from parking_exp.tracking.store import Store
 
 if TYPE_CHECKING:
@@ -115,13 +115,13 @@ def load(
 
 def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results:
     """Read runs from a store; see `load`."""
-    path = database(store.uri)
+    path = database_file(store.uri)
     if path is not None and not path.is_file():
         raise ResultsError(
             f"there is no store {path}; train something first, or name another output_dir or store"
         )
     with as_results_error(f"the store {store.uri} can't be read"):
-        prepare(store)
+        rebuild_if_unusable(store)
         ids = _choose_experiments(store, experiments)
         stored = [run for run in store.runs(ids.values()) if _is_from_this_package(run)]
         if not stored:
@@ -312,7 +312,7 @@ def _read_files(
     records = runs.to_dict("records")
     parsed = {}
     # More threads cost CPU time where files are local.
-    n_threads = 1 if database(store.uri) else DOWNLOADS_AT_ONCE
+    n_threads = 1 if database_file(store.uri) else DOWNLOADS_AT_ONCE
     with ThreadPoolExecutor(n_threads) as pool:
         for run, (value, problem) in zip(records, pool.map(read, records), strict=True):
             if value is not None:

@@ -22,7 +22,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 from pydantic import TypeAdapter, ValidationError
 
-from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
+from parking_exp.config.paths import absolute_uri, directory_path, refuse_links, relative_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
 from parking_exp.runs.atomic_files import read_object, write_json
@@ -42,7 +42,7 @@ from parking_exp.runs.run_files import (
     write_config,
 )
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
-from parking_exp.terminal import program
+from parking_exp.terminal import command_of
 
 SUPERVISOR_LOCK = ".claim"
 TRAINING_LOCK = ".lock"
@@ -98,7 +98,7 @@ class RunDirectory:
     def tracking_uri(self) -> str | None:
         """Store that the run is tracked in; None where it is not tracked."""
         uri = self.read_status().get("tracking_uri")
-        return absolute(uri, self.output_dir) if uri else None
+        return absolute_uri(uri, self.output_dir) if uri else None
 
     @property
     def is_locked(self) -> bool:
@@ -109,7 +109,7 @@ class RunDirectory:
         """Change entries of status.json; None removes one."""
         uri = values.get("tracking_uri")
         if uri is not None:
-            values["tracking_uri"] = relative(uri, self.output_dir)
+            values["tracking_uri"] = relative_uri(uri, self.output_dir)
         if values.get("status") in ENDS:
             (self.path / RESERVE).unlink(missing_ok=True)
         # Several processes change entries: a training, its supervisor, a sync.
@@ -139,7 +139,7 @@ class RunDirectory:
         self.update(status="done", steps=result.steps, **values)
 
     def needs_evaluation(self, config: RunConfig) -> bool:
-        """Return whether a finished run was evaluated with settings that a config has not."""
+        """Return whether a finished run was evaluated with other settings than a config has."""
         entries = self.read_status()
         settings = entries.get("evaluation", config.final_settings)
         return entries.get("status") == "done" and settings != config.final_settings
@@ -155,7 +155,7 @@ class RunDirectory:
             return None
         return (
             f"it can't be evaluated again with other settings, since {problem} in {checkpoint}; "
-            f"`{program('evaluate')} run={self.path}` evaluates its final model"
+            f"`{command_of('evaluate')} run={self.path}` evaluates its final model"
         )
 
     def reopen(self) -> None:
@@ -168,7 +168,7 @@ class RunDirectory:
 
     @property
     def is_evaluated_again(self) -> bool:
-        """Whether the run was finished, and its final evaluation is not over yet."""
+        """Whether a finished run is being evaluated again."""
         return self.status != "done" and (self.path / RESULT_FILE).exists()
 
     def write_config(self, config: RunConfig) -> None:

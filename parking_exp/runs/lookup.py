@@ -64,24 +64,22 @@ def find_run(
         return RunDirectory(folder)
     runs = find_runs(output_dir)
     usable = [path for path in runs if (path / having).exists()]
-    if name == LATEST and usable:
-        # A sync or an evaluation changes status.json, and not this file.
-        latest = max(usable, key=lambda path: (path / having).stat().st_mtime)
-        return RunDirectory(latest.absolute())
-    if name == LATEST and runs:
-        raise RunNotFoundError(
-            f"{key}=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} yet"
-        )
     if name == LATEST:
+        if usable:
+            # A sync or an evaluation changes status.json, and not this file.
+            latest = max(usable, key=lambda path: (path / having).stat().st_mtime)
+            return RunDirectory(latest.absolute())
+        if runs:
+            raise RunNotFoundError(
+                f"{key}=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} "
+                "yet"
+            )
         other = f", or write {key}={others[0]}" if others else ""
         raise RunNotFoundError(
             f"{key}=latest: there is no run in {output_dir} yet; train one first{other}"
         )
-    ids: dict[str, Path] = {}
-    for path in runs:
-        run_id = RunDirectory(path).run_id
-        if run_id is not None:
-            ids[run_id] = path
+
+    ids = _runs_by_id(runs)
     if name in ids:
         return RunDirectory(ids[name].absolute())
 
@@ -95,3 +93,13 @@ def find_run(
         f"{key}={name} is neither a run directory nor the MLflow run id of a run in "
         f"{output_dir}{hint}"
     )
+
+
+def _runs_by_id(runs: Sequence[Path]) -> dict[str, Path]:
+    """Return runs by their MLflow run ids."""
+    by_id = {}
+    for path in runs:
+        run_id = RunDirectory(path).run_id
+        if run_id is not None:
+            by_id[run_id] = path
+    return by_id

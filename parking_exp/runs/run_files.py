@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from parking_exp.config.paths import absolute, relative
+from parking_exp.config.paths import absolute_uri, relative_uri
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.validate import check
+from parking_exp.config.validate import check_schema
 from parking_exp.errors import ConfigError, first_line
 from parking_exp.runs.atomic_files import (
     MAX_SMALL,
@@ -103,7 +103,7 @@ def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], b
 
 def write_config(directory: Path, config: RunConfig) -> None:
     """Write a run's config into its directory, with paths relative to it."""
-    uri = config.tracking.uri and relative(config.tracking.uri, config.output_path)
+    uri = config.tracking.uri and relative_uri(config.tracking.uri, config.output_path)
     tracking = config.tracking.model_copy(update={"uri": uri})
     relocatable = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking})
     text = yaml.safe_dump(relocatable.plain(), sort_keys=False)
@@ -134,9 +134,9 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
             f"{path} has the interpolation {interpolation[0]}; stored configs have values only"
         )
     try:
-        config = check(RunConfig, stored)
+        config = check_schema(RunConfig, stored)
     except ConfigError as error:
         raise ConfigError(f"{path} does not fit this version of parking_exp: {error}") from error
-    uri = config.tracking.uri and absolute(config.tracking.uri, output_dir)
+    uri = config.tracking.uri and absolute_uri(config.tracking.uri, output_dir)
     tracking = config.tracking.model_copy(update={"uri": uri})
     return config.model_copy(update={"output_dir": str(output_dir), "tracking": tracking})

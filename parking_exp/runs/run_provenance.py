@@ -12,7 +12,7 @@ from pathlib import Path
 
 from parking_exp import __version__
 from parking_exp.runs.atomic_files import read_object, write_json
-from parking_exp.terminal import is_script, program
+from parking_exp.terminal import command_of, is_script
 
 PROVENANCE_FILE = "provenance.json"
 PACKAGES = (
@@ -51,7 +51,7 @@ def command_line() -> str | None:
     if not is_script() and not started.name.startswith("parking-"):  # called from Python
         return None
     name = started.stem.removeprefix("parking-")
-    return shlex.join([*program(name).split(), *sys.argv[1:]])
+    return shlex.join([*command_of(name).split(), *sys.argv[1:]])
 
 
 def _git() -> dict[str, str]:

@@ -62,7 +62,10 @@ class RunState(StatusEntries):
 
 
 def read_state(path: Path) -> RunState:
-    """Read one run directory; one that is missing or whose status.json can't be read is pending."""
+    """Return the state of a run from its directory.
+
+    Without a directory, or with a damaged status.json, it is pending.
+    """
     entries, damaged = read_entries(path / STATUS_FILE, StatusEntries)
     seed = path.name.removeprefix("seed=")
     fields: dict[str, Any] = {

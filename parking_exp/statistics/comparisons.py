@@ -35,7 +35,11 @@ def compare(
 
     The cells of a pair are matched by their place, and seeds are permuted within matched cells.
     Bonferroni's correction is for the pairs that have a p, and makes their intervals simultaneous.
-    `n_pairs` is the number of pairs of a larger family.
+
+    Args:
+        pairs: of each comparison, the cells of both sides.
+        alpha: the level of the whole family is 1 - alpha.
+        n_pairs: the number of pairs of a larger family; 0: that of the pairs that have a p.
     """
     p_values = [_test(a, b) for a, b in pairs]
     family_size = max(1, n_pairs, sum(p is not None for p in p_values))

@@ -29,7 +29,7 @@ class MainEffect:
     """What one factor does on average over the others.
 
     Attributes:
-        factor: its name.
+        factor: its key.
         levels: the mean of each.
         complete: whether all combinations are there; else levels are averaged over different cells.
         largest: the highest mean minus the lowest, with an interval corrected as p; None with a

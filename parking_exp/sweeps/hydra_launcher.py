@@ -85,7 +85,7 @@ def _plugin_launcher(
         config.hydra.launcher = settings
     # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.
     context = HydraContext(config_loader=loader, callbacks=cast(Any, Callback()))
-    plugin = Plugins.instance().instantiate_launcher(context, _train, config)
+    plugin = Plugins.instance().instantiate_launcher(context, _supervise_task, config)
     return PluginLauncher(name, plugin)
 
 
@@ -123,7 +123,7 @@ class PluginLauncher:
         return f"{n_early} of {plural(len(jobs), 'job')} ended early" if n_early else None
 
 
-def _train(config: DictConfig) -> None:
+def _supervise_task(config: DictConfig) -> None:
     """Train the run of a directory; Hydra's task function."""
     supervise_job(Path(config.run))
 

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from parking_exp.errors import ConfigError
-from parking_exp.resources import cores, cuda_devices, shares
+from parking_exp.resources import available_cores, cuda_devices, divide_cores
 from parking_exp.sweeps.supervisor import WorkerResult, supervise
 from parking_exp.sweeps.worker_process import LOCAL_START_METHOD
 from parking_exp.terminal import say
@@ -22,7 +22,7 @@ class LocalLauncher:
     """Processes of this machine, `n_jobs` at a time (None: one per core)."""
 
     def __init__(self, n_jobs: int | None) -> None:
-        self.n_jobs = valid_n_jobs(n_jobs) or len(cores())
+        self.n_jobs = valid_n_jobs(n_jobs) or len(available_cores())
 
     def train(self, paths: Sequence[Path]) -> None:
         """Train runs; raises as `run_workers`."""
@@ -64,7 +64,7 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
     ):
         devices = itertools.cycle(cuda_devices() or [None])
         futures = []
-        for own_cores in shares(cores(), n_workers):
+        for own_cores in divide_cores(available_cores(), n_workers):
             train = partial(_train_on, request, own_cores, next(devices))
             futures.append(pool.submit(work, train))
     request.raise_if_made()
@@ -78,4 +78,4 @@ def _train_on(
     """Train the run of a directory on the cores and the device of one worker."""
     if request.is_made:
         return "stopped"
-    return supervise(path, lambda: request.is_made, own_cores, device, LOCAL_START_METHOD)
+    return supervise(path, request, own_cores, device, LOCAL_START_METHOD)

@@ -10,7 +10,7 @@ from rich.live import Live
 
 from parking_exp.runs.run_state import RunState, read_state
 from parking_exp.runs.state_tables import format_duration, run_name, state_lines
-from parking_exp.terminal import console as make_console
+from parking_exp.terminal import make_console
 
 POLL_S = 1.0
 

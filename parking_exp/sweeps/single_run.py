@@ -8,16 +8,17 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from parking_exp.config.cell_labels import label_cells, settings_of
+from parking_exp.config.cell_labels import label_cells
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
+from parking_exp.config.settings import settings_of
 from parking_exp.config.validate import validate
 from parking_exp.evaluation.init_sources import name_source
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_plans import make_pending
 from parking_exp.terminal import is_script, say, unfailing_output
 from parking_exp.tracking.store_writer import StoreWriter
-from parking_exp.tracking.sync import follow_store, sync_hint
+from parking_exp.tracking.sync import adopt_store, sync_hint
 from parking_exp.training.signals import stop_on_signal
 from parking_exp.training.train_run import check_device, train_run
 from parking_exp.training.warm_start import check_sources
@@ -37,10 +38,11 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
     with unfailing_output():
-        return _train(name_source(validate(config)))
+        return _train_or_keep(name_source(validate(config)))
 
 
-def _train(config: RunConfig) -> RunResult:
+def _train_or_keep(config: RunConfig) -> RunResult:
+    """Train a checked run, or keep its result; return the result."""
     directory = RunDirectory(config.run_dir)
     writer = StoreWriter([config], partial(say, stderr=True))
     if directory.result() is None or directory.needs_evaluation(config):
@@ -55,7 +57,7 @@ def _train(config: RunConfig) -> RunResult:
                 lines = train_run(config, directory, stop, writer.sync_in_training)
     if reason is not None:
         lines = [reason]
-        follow_store(directory, config)
+        adopt_store(directory, config)
         writer.complete_stores([directory])
     result = directory.result()
     assert result is not None

@@ -6,7 +6,7 @@ All launchers train runs like this. If the supervisor dies, its worker dies with
 import math
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -16,7 +16,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.sweeps.worker import LOCKED_EXIT, LOG_FILE
 from parking_exp.sweeps.worker_process import SERVER_LOST, StartMethod, WorkerProcess
-from parking_exp.training.signals import stop_on_signal
+from parking_exp.training.signals import StopRequest, stop_on_signal
 
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
 POLL_S = 0.05
@@ -27,12 +27,11 @@ WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
 """How a run ended: done; failed, with the reason in status.json; stopped, on request; elsewhere: in
 another process.
 """
-Stop = Callable[[], bool]
 
 
 def supervise(
     path: Path,
-    stop: Stop,
+    stop: StopRequest,
     cores: Sequence[int] = (),
     device: str | None = None,
     start_method: StartMethod = "spawn",
@@ -41,8 +40,7 @@ def supervise(
 
     Args:
         path: the run directory, with its config.
-        stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after
-            GRACE_S.
+        stop: once it is made, the run saves a checkpoint and exits, or is killed after GRACE_S.
         cores: the worker's cores, with a thread each; none: all.
         device: CUDA device for the worker; None: all.
         start_method: how its process starts.
@@ -60,7 +58,7 @@ def supervise(
         return "elsewhere"
 
 
-def _run(directory: RunDirectory, process: WorkerProcess, stop: Stop) -> WorkerResult:
+def _run(directory: RunDirectory, process: WorkerProcess, stop: StopRequest) -> WorkerResult:
     """Start a run's process, and return how the run ended."""
     try:
         config = directory.config()
@@ -83,11 +81,11 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: Stop) -> WorkerR
             process.kill()
     exit_status = process.exit_status
     assert exit_status is not None
-    return _result(directory, exit_status, cause, config.timeout_s)
+    return _record_end(directory, exit_status, cause, config.timeout_s)
 
 
 def _wait(
-    process: WorkerProcess, timeout_s: float | None, stop: Stop
+    process: WorkerProcess, timeout_s: float | None, stop: StopRequest
 ) -> Literal["late", "stopped"] | None:
     """Wait for a worker; end it if it is too slow or is to stop; return which of these it was."""
     cause: Literal["late", "stopped"] | None = None
@@ -101,7 +99,7 @@ def _wait(
             continue
         if now > deadline:
             cause = "late"
-        elif stop():
+        elif stop.is_made:
             cause = "stopped"
         if cause is not None:
             process.terminate()
@@ -109,38 +107,39 @@ def _wait(
     return cause
 
 
-def _result(
+def _record_end(
     directory: RunDirectory, code: int, cause: str | None, timeout_s: float | None
 ) -> WorkerResult:
     """Return how a run ended, from its worker's exit status and status.json, and record it."""
     status = directory.status
-    killed = False
     if status == "done":
         return "done"
     if code == LOCKED_EXIT:
         return "elsewhere"
     if cause == "late":
-        reason = f"ran past timeout_s={timeout_s:g}"
-    elif status == "failed":
+        directory.update(status="failed", error=f"ran past timeout_s={timeout_s:g}", killed=None)
         return "failed"
-    elif cause == "stopped" or status == "interrupted":
+    if status == "failed":
+        return "failed"
+    if cause == "stopped" or status == "interrupted":
         directory.update(status="interrupted")
         return "stopped"
-    elif code < 0:
-        reason = f"killed by {signal.Signals(-code).name}"
-        if -code == signal.SIGKILL:
-            reason += " (out of memory?)"
-        killed = -code in KILLS
-    elif code == SERVER_LOST:
-        reason = "its process was lost, as the server that it was forked from was killed"
-        killed = True
-    else:
-        reason = (
-            f"its process ended with status {code} and without a result; see "
-            f"{directory.path / LOG_FILE}"
-        )
-    directory.update(status="failed", error=reason, killed=killed or None)
+    was_killed = code == SERVER_LOST or -code in KILLS
+    reason = _describe_exit(directory, code)
+    directory.update(status="failed", error=reason, killed=was_killed or None)
     return "failed"
+
+
+def _describe_exit(directory: RunDirectory, code: int) -> str:
+    """Say why a worker has exited that recorded no end of its run."""
+    if code == -signal.SIGKILL:
+        return "killed by SIGKILL (out of memory?)"
+    if code < 0:
+        return f"killed by {signal.Signals(-code).name}"
+    if code == SERVER_LOST:
+        return "its process was lost, as the server that it was forked from was killed"
+    log = directory.path / LOG_FILE
+    return f"its process ended with status {code} and without a result; see {log}"
 
 
 def supervise_job(path: Path) -> None:
@@ -153,6 +152,6 @@ def supervise_job(path: Path) -> None:
     # Submitit sends the last when the time is nearly up.
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)
     with stop_on_signal(None, signals) as request:
-        supervise(path, lambda: request.is_made)
+        supervise(path, request)
     if request.is_made:
         raise KeyboardInterrupt

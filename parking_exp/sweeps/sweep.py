@@ -14,9 +14,10 @@ from typing import Any
 
 from rich.console import Console
 
-from parking_exp.config.cell_labels import label_by_experiment, settings_of
+from parking_exp.config.cell_labels import label_by_experiment
 from parking_exp.config.compose import ComposedRun
 from parking_exp.config.schema import RunConfig
+from parking_exp.config.settings import settings_of
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError, FailedRunError
 from parking_exp.evaluation.init_sources import name_source
@@ -28,10 +29,10 @@ from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.store_thread import syncing
-from parking_exp.terminal import console, program
+from parking_exp.terminal import command_of, make_console
 from parking_exp.tracking.client import say_ignored_store
 from parking_exp.tracking.store_writer import StoreWriter
-from parking_exp.tracking.sync import follow_store
+from parking_exp.tracking.sync import adopt_store
 
 POLL_S = 1.0
 
@@ -74,57 +75,67 @@ class PlannedRun:
         return RunDirectory(self.path).evaluation_problem()
 
 
+@dataclass(frozen=True)
+class _Cell:
+    """A checked cell of a sweep; its config has one of its seeds."""
+
+    config: RunConfig
+    folder: Path
+
+    @property
+    def name(self) -> tuple[str, str]:
+        """Its experiment, and its name in it."""
+        return self.folder.parent.name, self.folder.name
+
+
 def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[PlannedRun]:
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
-    # A cell is checked once for all its seeds.
-    unique = {id(run.cell_config): run.cell_config for run in composed}
-    checked = map(name_source, validate_all(unique.values()))
-    configs = dict(zip(unique, checked, strict=True))
-    folders = {cell: config.run_dir.parent for cell, config in configs.items()}
-    _refuse_two_evaluations(zip(folders.values(), configs.values(), strict=True))
-
-    settings = {}
-    for cell, config in configs.items():
-        settings[_cell_name(folders[cell])] = settings_of(config.plain())
+    cells = _check_cells(composed)
+    _refuse_two_evaluations(cells.values())
+    settings = {cell.name: settings_of(cell.config.plain()) for cell in cells.values()}
     labels = label_by_experiment(settings)
     numbers = {name: number for number, name in enumerate(settings)}
 
     runs: dict[Path, PlannedRun] = {}
     for run in composed:
-        config = configs[id(run.cell_config)]
+        cell = cells[id(run.cell_config)]
+        config = cell.config
         if run.seed is not None:
             config = config.model_copy(update={"seed": run.seed})
-        folder = folders[id(run.cell_config)]
-        path = folder / f"seed={config.seed}"
+        path = cell.folder / f"seed={config.seed}"
         if path not in runs:
-            name = _cell_name(folder)
             runs[path] = PlannedRun(
                 config=config,
                 path=path,
-                label=labels[name],
+                label=labels[cell.name],
                 state=read_state(path),
                 retried=retry is not None,
-                cell_number=numbers[name],
+                cell_number=numbers[cell.name],
             )
     return list(runs.values())
 
 
-def _cell_name(folder: Path) -> tuple[str, str]:
-    """Return the experiment and the name of the cell in a folder."""
-    return folder.parent.name, folder.name
+def _check_cells(composed: Sequence[ComposedRun]) -> dict[int, _Cell]:
+    """Check each cell once for all its seeds; return the cells by the ids of composed configs."""
+    unique = {id(run.cell_config): run.cell_config for run in composed}
+    cells = {}
+    for key, checked in zip(unique, validate_all(unique.values()), strict=True):
+        config = name_source(checked)
+        cells[key] = _Cell(config, config.run_dir.parent)  # hashing the config takes time
+    return cells
 
 
-def _refuse_two_evaluations(cells: Iterable[tuple[Path, RunConfig]]) -> None:
+def _refuse_two_evaluations(cells: Iterable[_Cell]) -> None:
     """Refuse cells that differ in their final evaluation alone: they would be the same runs."""
     settings: dict[Path, dict[str, int]] = {}
-    for folder, config in cells:
-        evaluation = config.final_settings
-        first = settings.setdefault(folder, evaluation)
+    for cell in cells:
+        evaluation = cell.config.final_settings
+        first = settings.setdefault(cell.folder, evaluation)
         for name, value in evaluation.items():
             if value != first[name]:
                 raise ConfigError(
                     f"evaluation.{name}={first[name]},{value}: the same runs can't have both; give "
-                    f"one value, and evaluate them on others with {program('evaluate')}"
+                    f"one value, and evaluate them on others with {command_of('evaluate')}"
                 )
 
 
@@ -137,10 +148,11 @@ def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     for run, state in zip(runs, states, strict=True):
         if run.needs_evaluation and run.evaluation_problem is not None:
             out.print(f"kept     {run_name(state)}: {run.evaluation_problem}")
-    out.print(f"{_product(runs)} = {plural(len(runs), 'run')}: {_counts(runs, states)}")
+    size = f"{_describe_size(runs)} = {plural(len(runs), 'run')}"
+    out.print(f"{size}: {_describe_counts(runs, states)}")
 
 
-def _product(runs: Sequence[PlannedRun]) -> str:
+def _describe_size(runs: Sequence[PlannedRun]) -> str:
     """Return how many cells a plan has, and how many seeds if each cell has the same ones."""
     n_cells = len({run.path.parent for run in runs})
     n_seeds = len({run.config.seed for run in runs})
@@ -150,7 +162,7 @@ def _product(runs: Sequence[PlannedRun]) -> str:
     return f"{cells} x {plural(n_seeds, 'seed')}"
 
 
-def _counts(runs: Sequence[PlannedRun], states: Sequence[RunState]) -> str:
+def _describe_counts(runs: Sequence[PlannedRun], states: Sequence[RunState]) -> str:
     """Return how many runs of a plan are done, and how many will run."""
     by_stage = count_stages(states)
     due = [run.state.stage for run in runs if run.is_due]
@@ -191,7 +203,7 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         from parking_exp.training.warm_start import check_sources  # imports torch
 
         check_sources(starting_from_others)
-    out = console()
+    out = make_console()
     print_plan(runs, out)
     if dry_run:
         return
@@ -228,7 +240,7 @@ def _write_plan(runs: Sequence[PlannedRun]) -> None:
         elif run.state.cell_number is None:
             with suppress(OSError):  # a directory that can't be written keeps its order
                 directory.update(durable=False, cell_number=run.cell_number)
-        follow_store(directory, run.config)
+        adopt_store(directory, run.config)
     tracking = [run.config.tracking for run in runs if run.is_due]
     if any(options.mlflow and options.uri is None for options in tracking):
         say_ignored_store()
@@ -248,7 +260,7 @@ def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
 
 
 def _is_left(path: Path, *, launched: bool) -> bool:
-    """Return whether a run is left to this sweep: it is with another one, or was, and not over."""
+    """Return whether a run is still to do: another sweep trains it, or has left it unfinished."""
     stage = read_state(path).stage
     return stage == "running" or (stage == "pending" and not launched)
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
 
-from parking_exp.config.paths import SQLITE, database
+from parking_exp.config.paths import SQLITE, database_file
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def connect(uri: str) -> "MlflowClient":
     """
     with no_garbage_collection():
         import_mlflow()
-        path = database(uri)
+        path = database_file(uri)
         if path is not None and not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             # Processes that make the same store at once collide in MLflow's migrations.
@@ -104,7 +104,7 @@ def no_garbage_collection() -> Iterator[None]:
 
 def write_lock(uri: str) -> AbstractContextManager[Any]:
     """Return the lock that all writers to an embedded store share; other stores have their own."""
-    path = database(uri)
+    path = database_file(uri)
     if path is None:
         return nullcontext()
     lock = lock_path(path)

@@ -17,7 +17,7 @@ from parking_exp.errors import StoreError, reason_of_failure
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.terminal import console, say
+from parking_exp.terminal import make_console, say
 from parking_exp.tracking.client import (
     OUTPUT_DIR_TAG,
     lock_path,
@@ -34,8 +34,8 @@ MOVE_IT = (
 )
 
 
-def prepare(store: Store) -> None:
-    """Make an output directory's store again from its run directories, if it can't be used.
+def rebuild_if_unusable(store: Store) -> None:
+    """Rebuild an output directory's store from its run directories, unless it can be used.
 
     Raises whatever MLflow, SQLAlchemy or the disk raise.
     """
@@ -70,7 +70,7 @@ def _build(store: Store, path: Path) -> None:
     progress = track(
         tracked,
         "making the store",
-        console=console(stderr=True),
+        console=make_console(stderr=True),
         transient=True,
         disable=len(tracked) < FEW_RUNS,
     )

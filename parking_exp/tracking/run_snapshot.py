@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from parking_exp.config.paths import database, relative_path
+from parking_exp.config.paths import database_file, relative_path
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import one_line
@@ -34,9 +34,9 @@ class RunSnapshot:
     """What a store should have of a run directory, as it is now.
 
     Attributes:
-        status: see `status_in_store`.
-        files: see `files_in_store`.
-        tags: see `tags_in_store`.
+        status: see `status_for_store`.
+        files: see `files_for_store`.
+        tags: see `tags_for_store`.
         last_tags: those that are written once the store has everything else.
         first_name: the run's name in MLflow's UI, until it is done.
         last_name: its name once it is done, with its success rate.
@@ -54,8 +54,8 @@ class RunSnapshot:
 def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
     """Return what a store should have of a run directory."""
     config = directory.config()
-    status = status_in_store(directory)
-    files = files_in_store(directory, status)
+    status = status_for_store(directory)
+    files = files_for_store(directory, status)
     first_name = f"{config.cell_name}-seed={config.seed}"
     last_name = first_name
     rate = directory.read_status().get("success_rate")
@@ -65,14 +65,14 @@ def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
         config=config,
         status=status,
         files=files,
-        tags=tags_in_store(directory, config, store),
-        last_tags={DIGEST: digest_in_store(directory, status, files), STATUS: status},
+        tags=tags_for_store(directory, config, store),
+        last_tags={DIGEST: digest_for_store(directory, status, files), STATUS: status},
         first_name=first_name,
         last_name=last_name,
     )
 
 
-def status_in_store(directory: RunDirectory) -> Status:
+def status_for_store(directory: RunDirectory) -> Status:
     """Return a run's status for the store.
 
     A run that was killed or is pending is `interrupted` there.
@@ -84,10 +84,10 @@ def status_in_store(directory: RunDirectory) -> Status:
     return status
 
 
-def digest_in_store(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
+def digest_for_store(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
     """Return a hash of what the store should have of a run, without parsing any file.
 
-    `files` are those of `files_in_store`; their names, sizes and times of change are hashed.
+    `files` are those of `files_for_store`; their names, sizes and times of change are hashed.
     """
     entries = directory.read_status()
     state: list[Any] = [status]
@@ -106,7 +106,7 @@ def digest_in_store(directory: RunDirectory, status: Status, files: Mapping[str,
     return short_hash(content)
 
 
-def tags_in_store(directory: RunDirectory, config: RunConfig, store: Store) -> dict[str, str]:
+def tags_for_store(directory: RunDirectory, config: RunConfig, store: Store) -> dict[str, str]:
     """Return the tags of a run except its status and digest.
 
     They overwrite tags of the same name in its provenance.
@@ -131,7 +131,7 @@ def tags_in_store(directory: RunDirectory, config: RunConfig, store: Store) -> d
     tags["cell"] = config.cell_name
     tags["seed"] = str(config.seed)
     tags["run_key"] = config.run_key
-    database_path = database(store.uri)
+    database_path = database_file(store.uri)
     if database_path is None:
         tags["run_dir"] = str(directory.path.absolute())
     else:
@@ -142,7 +142,7 @@ def tags_in_store(directory: RunDirectory, config: RunConfig, store: Store) -> d
     return tags
 
 
-def files_in_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
+def files_for_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
     """Return the files for the store, by their names there; those that grow with the run come at
     its end.
     """

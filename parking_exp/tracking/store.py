@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from parking_exp.config.paths import (
     ARTIFACTS,
-    absolute,
-    database,
+    absolute_uri,
+    database_file,
     default_uri,
     is_same_store,
     lies_inside,
@@ -43,9 +43,9 @@ class Store:
     """
 
     def __init__(self, uri: str, output_dir: Path | None) -> None:
-        self.uri = absolute(uri)
-        self.is_checked = False  # whether it is known to be usable; see `prepare`
-        self._database = database(self.uri)
+        self.uri = absolute_uri(uri)
+        self.is_checked = False  # whether `rebuild_if_unusable` found it usable, or made it again
+        self._database = database_file(self.uri)
         self._own_directory: Path | None = None
         if self._database and output_dir and self._database.is_relative_to(output_dir):
             self._own_directory = output_dir
@@ -155,7 +155,7 @@ class Store:
             if experiment is None:
                 return client.create_experiment(name, location, tags)
         self.refuse_deleted(name)
-        self._artifact_path(experiment.artifact_location, "")
+        self._artifact_path(experiment.artifact_location, "")  # refuses one outside
         return experiment.experiment_id
 
     def refuse_deleted(self, name: str) -> None:

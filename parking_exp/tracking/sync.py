@@ -15,14 +15,14 @@ from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import STATUS_FILE
-from parking_exp.terminal import program
-from parking_exp.tracking.embedded_store import prepare
+from parking_exp.terminal import command_of
+from parking_exp.tracking.embedded_store import rebuild_if_unusable
 from parking_exp.tracking.run_snapshot import (
     DIGEST,
     OUTPUT_ID,
-    digest_in_store,
-    files_in_store,
-    status_in_store,
+    digest_for_store,
+    files_for_store,
+    status_for_store,
 )
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.write_run import write_run
@@ -35,7 +35,7 @@ WAIT_S = 120  # for another process that syncs the same run
 
 def sync_run(directory: RunDirectory, store: Store) -> None:
     """Make a store agree with a run directory; idempotent."""
-    prepare(store)
+    rebuild_if_unusable(store)
     with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
         write_run(directory, store)
 
@@ -52,8 +52,11 @@ def try_sync(directory: RunDirectory, store: Store) -> str | None:
     return None
 
 
-def follow_store(directory: RunDirectory, config: RunConfig) -> None:
-    """Make a finished run one of the store that a command names."""
+def adopt_store(directory: RunDirectory, config: RunConfig) -> None:
+    """Record the store of a command's config as that of a finished run, for the next sync.
+
+    A run that is tracked elsewhere keeps its store, unless `tracking.uri` is given.
+    """
     if not config.tracking.mlflow or directory.status != "done":
         return
     tracked_in = directory.tracking_uri
@@ -101,9 +104,9 @@ def _is_stored(
     `synced` are the store's runs by directory and digest.
     """
     with suppress(OSError):
-        status = status_in_store(directory)
-        files = files_in_store(directory, status)
-        run = synced.get((resolved(directory.path), digest_in_store(directory, status, files)))
+        status = status_for_store(directory)
+        files = files_for_store(directory, status)
+        run = synced.get((resolved(directory.path), digest_for_store(directory, status, files)))
         return run is not None and store.has_artifacts(run, files)
     return False
 
@@ -124,7 +127,7 @@ def complete_store(directories: Iterable[RunDirectory], store: Store) -> str | N
 
 def sync_hint(output_dir: Path, uri: str) -> str:
     """Return the command that sends what a store lacks."""
-    words = [*program("status").split(), "sync=true"]
+    words = [*command_of("status").split(), "sync=true"]
     if output_dir != Path("outputs").absolute():
         words.append(f"output_dir={output_dir}")
     if uri != default_uri(output_dir):
@@ -168,7 +171,7 @@ def _digests(
 
 def _runs_of_experiments(directories: Iterable[RunDirectory], store: Store) -> "list[Run]":
     """Return all runs that a store has of the experiments of some directories."""
-    prepare(store)
+    rebuild_if_unusable(store)
     ids = store.experiments()
     names = {directory.path.parents[1].name for directory in directories}
     return store.runs(ids[name] for name in names if name in ids)

@@ -6,7 +6,7 @@ The UI's own links lead to its GenAI view, which shows no runs.
 
 import sys
 
-from parking_exp.config.paths import database
+from parking_exp.config.paths import database_file
 from parking_exp.terminal import say
 from parking_exp.tracking.store import Store
 
@@ -15,7 +15,7 @@ def main() -> None:
     """Print one line for each experiment that has been made."""
     uri, port = sys.argv[1:]
     store = Store(uri, None)
-    path = database(store.uri)
+    path = database_file(store.uri)
     if path is not None and not path.exists():
         say(f"there is no store {path} yet; train something first")
         return

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from parking_exp.config.cell_labels import encode_setting, settings_of
 from parking_exp.config.paths import resolved
+from parking_exp.config.settings import encode_setting, settings_of
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file
 from parking_exp.runs.directory import RunDirectory

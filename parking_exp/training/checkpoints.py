@@ -80,7 +80,7 @@ def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
 def save(
     directory: Path,
     model: OffPolicyAlgorithm,
-    average: PolicyEMA,
+    policy_ema: PolicyEMA,
     progress: SavedProgress,
     best: Path,
     keep_last: int,
@@ -106,7 +106,7 @@ def save(
             "progress": asdict(progress),
             "model": attributes | recent,
             "rollout": rollout_state.get_state(model),
-            "average": average.get_state(),
+            "average": policy_ema.get_state(),
         }
         torch.save(to_tensors(state), folder / STATE)
 
@@ -139,9 +139,9 @@ def load_state(folder: Path) -> dict[str, Any]:
 
 
 def restore(
-    folder: Path, model: OffPolicyAlgorithm, average: PolicyEMA, best: Path
+    folder: Path, model: OffPolicyAlgorithm, policy_ema: PolicyEMA, best: Path
 ) -> dict[str, Any]:
-    """Bring a fresh model, the average of its policy and the best model's file to a checkpoint.
+    """Restore a fresh model, the EMA of its actor and the best model's file from a checkpoint.
 
     Returns:
         The rollout state, for `rollout_state.set_state` when the next rollout begins.
@@ -159,7 +159,7 @@ def restore(
     _load_buffer(model.replay_buffer, folder / BUFFER)
     if isinstance(model, FastTraining) and model._n_updates:
         model.bind()
-    average.set_state(state["average"])
+    policy_ema.set_state(state["average"])
     return state["rollout"]
 
 

@@ -71,7 +71,7 @@ class TrainingSession(RunSession):
             demonstrations.make_room(config, self.task, self.model)
         self.model.set_logger(self.logger)
         self.policy = GreedyPolicy(self.model)
-        self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
+        self.policy_ema = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
         # After the model, which seeds the envs with its own seed.
         self.env.seed(seeds.training_envs)
 
@@ -85,7 +85,7 @@ class TrainingSession(RunSession):
                 self._add_demonstrations()
         else:
             self._rollout_state = checkpoints.restore(
-                checkpoint, self.model, self.average, self._best
+                checkpoint, self.model, self.policy_ema, self._best
             )
             self.bar.say(f"resuming at step {progress.step}")
 
@@ -142,7 +142,7 @@ class TrainingSession(RunSession):
         checkpoints.save(
             self.directory.checkpoints,
             self.model,
-            self.average,
+            self.policy_ema,
             self.progress,
             self._best,
             self.config.checkpoint.keep_last,
@@ -157,10 +157,10 @@ class TrainingSession(RunSession):
             self._keep_if_best(rank(summary, self.task))
         return summary
 
-    def _keep_if_best(self, rank: list[float]) -> None:
+    def _keep_if_best(self, new_rank: list[float]) -> None:
         """Save the model as the best one if no evaluation before had its rank."""
-        if self.progress.best is None or rank > self.progress.best:
-            self.progress.best = rank
+        if self.progress.best is None or new_rank > self.progress.best:
+            self.progress.best = new_rank
             save_model(self.model, self._best)
 
     def dump_metrics(self) -> None:
@@ -171,8 +171,8 @@ class TrainingSession(RunSession):
         super().dump_metrics()
 
     def final_policy(self) -> AbstractContextManager[None]:
-        """Make `policy` the average of the policies within a block."""
-        return self.average.applied()
+        """Give the actor its EMA weights within a block."""
+        return self.policy_ema.applied()
 
     def save_final(self, path: Path) -> None:
         """Write the model, as Stable-Baselines3 saves it."""
@@ -196,7 +196,7 @@ class RolloutCallback(BaseCallback):
         step = self.num_timesteps
         session.restore_rollout_state()  # here, where it was saved
         self._check_losses()
-        session.average.update()
+        session.policy_ema.update()
         session.stop_if_asked()
         if _is_due(step, session.progress.evaluated, session.config.evaluation.every_n_steps):
             session.evaluate()

@@ -1,6 +1,6 @@
 """Start a run from the networks, and the replay buffer, of another (`init`, `init_buffer`).
 
-Optimizers, schedules, counters, random generators and the average of the policy begin anew.
+Optimizers, schedules, counters, random generators and the EMA of the actor start anew.
 """
 
 from collections.abc import Iterable
@@ -9,14 +9,14 @@ from pathlib import Path
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.build_model import build_model
-from parking_exp.config.cell_labels import (
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.settings import (
     Setting,
     differing_keys,
     display_setting,
     settings_of,
     with_defaults,
 )
-from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.evaluation.agents import Agent
 from parking_exp.evaluation.init_sources import find_source
@@ -100,7 +100,7 @@ def _find_buffer(config: RunConfig, agent: Agent) -> Path:
     return checkpoint / BUFFER
 
 
-def _settings(config: RunConfig) -> dict[str, Setting]:
+def _model_settings(config: RunConfig) -> dict[str, Setting]:
     """Return a config as dotted keys, without those of optimizers."""
     plain = config.plain()
     given = plain["algorithm"].pop("policy_kwargs", None) or {}
@@ -110,8 +110,8 @@ def _settings(config: RunConfig) -> dict[str, Setting]:
 
 
 def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) -> None:
-    own = _settings(config)
-    source = _settings(agent.config)
+    own = _model_settings(config)
+    source = _model_settings(agent.config)
     for key in differing_keys([own, source]):
         if key.startswith(keys):
             raise ConfigError(

@@ -27,7 +27,7 @@ from parking_exp.sweeps.local import LocalLauncher, run_workers
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.store_thread import syncing
 from parking_exp.sweeps.sweep import PlannedRun, sweep
-from parking_exp.terminal import console, program
+from parking_exp.terminal import command_of, make_console
 from parking_exp.tracking.store_writer import StoreWriter
 from parking_exp.tuning.search import Search, read_search
 from parking_exp.tuning.trial_worker import run_trials, success_auc
@@ -62,7 +62,7 @@ def run_search(search: Search, launcher: Launcher) -> None:
 
         seeds = search.request.search.tuning_seeds
         check_sources(search.base.model_copy(update={"seed": seed}) for seed in seeds)
-    out = console()
+    out = make_console()
     request = search.request
     n_workers = request.n_workers or launcher.n_jobs
     stored = read_search(search.folder)
@@ -74,7 +74,7 @@ def run_search(search: Search, launcher: Launcher) -> None:
     study = search.open().study
     search.save()
     if _count_left(trials, request.n_trials):
-        trials = _train(search, study, n_workers)
+        trials = _train_trials(search, study, n_workers)
     out.print(progress_table(trials), *progress_lines(trials, request.n_trials), sep="\n")
     if not rank_trials(trials):
         reasons = [trial.reason for trial in trials if trial.reason] or ["all were pruned"]
@@ -104,7 +104,7 @@ def _describe(search: Search, trials: Sequence[TrialRow], n_workers: int, out: C
     )
 
 
-def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
+def _train_trials(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
     """Train while trials are left, also those of other processes, and sync the store."""
     base = search.base
     request = search.request
@@ -179,7 +179,7 @@ def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console
     seeds = plural(len(winner.test), "test seed")
     out.print(f"the winner is {winner.label}: {OBJECTIVE} {mean(winner.test):.1%} on {seeds}")
     out.print(f"experiment     {path}")
-    command = [*program("train").split(), f"experiment={path}"]
+    command = [*command_of("train").split(), f"experiment={path}"]
     if search.extra_config_dir:
         command += ["--config-dir", search.extra_config_dir]
     out.print(f"train it with  {shlex.join(command)}")

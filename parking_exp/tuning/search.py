@@ -13,7 +13,7 @@ from parking_exp.config.cell_labels import GROUPS
 from parking_exp.config.compose import ComposedRun, compose_runs, hydra_ready
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.validate import check, parse, refuse, validate
+from parking_exp.config.validate import check_schema, parse_config, raise_problems, validate
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.init_sources import name_source
 from parking_exp.runs.atomic_files import read_object, write_json
@@ -71,7 +71,7 @@ class Search:
         config = self.compose({}).cell_config
         if "search" not in config:
             raise ConfigError("search is missing; write search=NAME, e.g. search=smoke")
-        return parse(TuneRequest, {key: config[key] for key in TuneRequest.model_fields})
+        return parse_config(TuneRequest, {key: config[key] for key in TuneRequest.model_fields})
 
     @cached_property
     def base(self) -> RunConfig:
@@ -100,7 +100,7 @@ class Search:
             ConfigError: with a sentence for each of the first five things that are wrong.
         """
         space = self.request.search.space
-        assert self.base  # its errors are reported once
+        self.config({})  # an error of the base config is reported once, not for each value
         problems = []
         for key, dimension in space.items():
             for changes in self._options_for(key):
@@ -110,7 +110,7 @@ class Search:
                     except ConfigError as error:
                         lines = str(error).splitlines()
                         problems += [f"search.space.{key}: {line}" for line in lines]
-        refuse(dict.fromkeys(problems))
+        raise_problems(problems)
 
     def _options_for(self, key: str) -> list[dict[str, Any]]:
         """Return the options of its group that a key has to go with."""
@@ -177,7 +177,7 @@ def read_search(folder: Path) -> StoredSearch | None:
         return None
     import optuna
 
-    stored = check(SearchFile, content)
+    stored = check_schema(SearchFile, content)
     with study_errors(folder.name):
         study = optuna.load_study(study_name=folder.name, storage=storage_of(folder))
         retested = read_retest(folder)

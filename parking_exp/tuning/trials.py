@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import Field, FiniteFloat, TypeAdapter
 from rich.table import Table
 
-from parking_exp.config.cell_labels import display_setting
+from parking_exp.config.settings import display_setting
 from parking_exp.phrases import plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.locks import is_held

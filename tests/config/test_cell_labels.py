@@ -6,14 +6,10 @@ import pandas as pd
 import pytest
 from support.runs import stored_params
 
-from parking_exp.config.cell_labels import (
-    differing_keys,
-    find_factors,
-    label_cells,
-    labels_from_factors,
-)
+from parking_exp.config.cell_labels import find_factors, label_cells, labels_from_factors
 from parking_exp.config.compose import compose_runs
 from parking_exp.config.schema import PLANNER
+from parking_exp.config.settings import differing_keys
 from parking_exp.errors import ConfigError
 from parking_exp.reports.cell_selection import choose_cells, find_contrasts, group_runs
 from parking_exp.results.frame_export import config_column

@@ -147,7 +147,7 @@ def test_pairs_that_nobody_has_chosen_are_drawn_only_if_they_are_few():
     eight = report_factory.report(8, 2)
     assert len(eight.pairs) == 28
     assert [*comparison_figures.draw_pairs(eight)] == []
-    (table,) = report_tables.pairs(eight)
+    (table,) = report_tables.pairs_table(eight)
     assert (len(table.rows), table.folded) == (28, True)
     assert len([*comparison_figures.draw_pairs(report_factory.report(7, 2))]) == 1
 

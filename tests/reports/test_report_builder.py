@@ -222,7 +222,7 @@ def test_a_run_without_a_final_rate_is_left_out_with_a_warning():
     report = content({"sac": {}}, look=by_seed(Run(0.6), blank, Run(0.6)))
     assert (report.cells[0].success.value, report.cells[0].success.n) == (pytest.approx(0.6), 2)
     assert any("no final success rate" in line for line in report.warnings)
-    (headline,) = report_tables.headline(report)
+    (headline,) = report_tables.headline_table(report)
     assert headline.columns[1].write(headline.rows[0]) == "2 of 3"  # what the mean is over
     assert json.loads(json.dumps(report.plain(), allow_nan=False))["cells"][0]["success"]["n"] == 2
 
@@ -601,13 +601,13 @@ def test_a_metric_of_a_user_is_a_column_and_empty_where_a_cell_lacks_it():
     assert "centred_rate" not in td3.metrics
     assert report.plain()["cells"][0]["seeds"][0]["jerk_mean"] == 2.5
 
-    (table,) = report_tables.headline(report)
+    (table,) = report_tables.headline_table(report)
     texts = {column.title: [column.write(row) for row in table.rows] for column in table.columns}
     assert texts["centred (%)"][0].startswith("25.0 [")
     assert texts["centred (%)"][1] == ""
     titles = list(texts)
     assert titles.index("centred (%)") == titles.index("Timeout (%)") - 1
 
-    (table,) = report_tables.means(report)
+    (table,) = report_tables.means_table(report)
     jerk = next(column for column in table.columns if column.title == "jerk")
     assert [jerk.write(row) for row in table.rows] == ["2.50", ""]

@@ -6,12 +6,12 @@ import pytest
 from support import report_factory
 
 from parking_exp.errors import ConfigError
-from parking_exp.figure_style import SectionFigure, new_figure
-from parking_exp.report_section import Section, Table, cell_row
+from parking_exp.figure_style import new_figure
+from parking_exp.report_section import Section, SectionFigure, Table, cell_row
 from parking_exp.reports.report_files import write_report, write_tables
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import (
-    draw,
+    draw_figures,
     load_sections,
     section_contents,
     sections_of,
@@ -50,7 +50,7 @@ SLOW = Section(
 def test_a_new_section_is_one_entry_of_the_list(tmp_path):
     report = report_factory.report(2, 3)
     contents = section_contents(
-        report, draw(report, tmp_path, ["png"], [SLOW]), [*sections_of(report), SLOW]
+        report, draw_figures(report, tmp_path, ["png"], [SLOW]), [*sections_of(report), SLOW]
     )
     html = render_page(report, contents)
     for part in (
@@ -98,7 +98,7 @@ def test_a_section_without_anything_to_say_is_left_out():
     [
         (replace(SLOW, id="results"), "2 sections have the name results"),
         (
-            Section("mine", "Mine", tables=[report_tables.headline]),
+            Section("mine", "Mine", tables=[report_tables.headline_table]),
             "2 tables have the name headline",
         ),
         (

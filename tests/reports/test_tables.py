@@ -97,7 +97,7 @@ def test_settings_are_a_row_for_each_cell_or_where_these_are_fewer_for_each_sett
     report = report_factory.report(2, 1)
     for keys, titles in ((["a"], ["Cell", "a"]), (["a", "b", "c"], ["Setting", "sac", "td3"])):
         provenance = replace(report.provenance, difference={key: [1, 2] for key in keys})
-        (table,) = report_tables.config(replace(report, provenance=provenance))
+        (table,) = report_tables.config_table(replace(report, provenance=provenance))
         assert [column.title for column in table.columns] == titles
         assert [table.columns[-1].write(row) for row in table.rows][-1] == "2"
 

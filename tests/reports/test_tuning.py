@@ -21,7 +21,7 @@ from parking_exp.reports.search_report import (
     with_search,
     with_stored_search,
 )
-from parking_exp.reports.sections import SECTIONS, draw, section_contents
+from parking_exp.reports.sections import SECTIONS, draw_figures, section_contents
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import SeedRates, compare, mean_interval
 from parking_exp.tuning.search import read_search
@@ -169,7 +169,7 @@ def test_retrained_trials_have_intervals_and_so_has_tuning_minus_test(folder, tm
 def test_figures_and_tables_show_the_trials(folder, tmp_path):
     search = stored_search(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial()])
     whole = report(search=search)
-    drawn = draw(whole, tmp_path / "figures", [], OWN)
+    drawn = draw_figures(whole, tmp_path / "figures", [], OWN)
     assert [figure.name for figure in drawn] == ["optimisation_history", "slices"]
     (text,) = describe_search(whole)
     assert "3 trials (sampler tpe, pruner none): 2 done, 1 pruned." in text
@@ -189,7 +189,7 @@ def test_without_a_search_there_is_nothing_of_it(tmp_path):
     plain = report("one", "../two")
     (tmp_path / "one").mkdir()
     assert with_stored_search(plain, tmp_path) == plain
-    assert draw(plain, tmp_path, [], OWN) == []
+    assert draw_figures(plain, tmp_path, [], OWN) == []
     assert not any(
         content.tables or [*content.text] for content in section_contents(plain, sections=OWN)
     )

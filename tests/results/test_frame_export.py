@@ -12,7 +12,7 @@ import pytest
 from support.runs import copy_of, names_in, read_text, smoke_config
 from support.store_factory import Look, make_store
 
-from parking_exp.config.cell_labels import decode_setting, encode_setting
+from parking_exp.config.settings import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
 from parking_exp.results.frame_export import FILES, LOCAL_COLUMNS, without_paths

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from parking_exp.cli.evaluate import evaluate
-from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import compose
+from parking_exp.config.settings import settings_of
 from parking_exp.errors import ConfigError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics

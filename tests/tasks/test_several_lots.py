@@ -11,7 +11,7 @@ from support.runs import call_script, config_refusal, refusal
 from support.simulator_equality import differences
 
 from parking_exp import compose, train
-from parking_exp.config.cell_labels import settings_of
+from parking_exp.config.settings import settings_of
 from parking_exp.evaluation.agents import find_agent
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_report import cell_data, figure_data

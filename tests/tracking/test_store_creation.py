@@ -19,7 +19,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import StoreError
 from parking_exp.results.frames import load
 from parking_exp.tracking.client import connect, import_mlflow
-from parking_exp.tracking.embedded_store import prepare
+from parking_exp.tracking.embedded_store import rebuild_if_unusable
 from parking_exp.tracking.store import Store
 
 
@@ -64,7 +64,7 @@ def test_a_store_that_is_made_looks_up_an_experiment_once(output_dir, monkeypatc
         return experiment_id(self, config)
 
     monkeypatch.setattr(Store, "experiment_id", count)
-    prepare(Store(first.tracking_uri, output_dir))
+    rebuild_if_unusable(Store(first.tracking_uri, output_dir))
     assert looked_up == ["smoke"]
     assert stored(output_dir) == [0, 1, 2]
 

@@ -11,7 +11,6 @@ from matplotlib.lines import Line2D
 from parking_exp.figure_style import (
     INK,
     SMALL_PT,
-    CaptionedFigure,
     CellStyle,
     cell_style,
     new_figure,
@@ -21,6 +20,7 @@ from parking_exp.figure_style import (
     wrapped_labels,
 )
 from parking_exp.phrases import plural
+from parking_exp.report_section import CaptionedFigure
 from parking_exp.reports.report_data import CellSummary, Curve, ReportData
 from parking_exp.statistics import SurvivalCurve
 from parking_exp.tasks.registry import FAILURES

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from parking_exp.figure_style import (
     INK,
     SMALL_PT,
-    CaptionedFigure,
     new_figure,
     percentages,
     row_axes,
@@ -17,6 +16,7 @@ from parking_exp.figure_style import (
     text_colour,
     wrapped_labels,
 )
+from parking_exp.report_section import CaptionedFigure
 from parking_exp.reports.formats import VERDICTS, level, p_value, points_interval
 from parking_exp.reports.report_data import Pair, ReportData
 

@@ -8,7 +8,8 @@ import matplotlib
 import numpy as np
 from matplotlib.ticker import LogLocator, NullLocator
 
-from parking_exp.figure_style import WIDTH_IN, CaptionedFigure, report_style
+from parking_exp.figure_style import WIDTH_IN, report_style
+from parking_exp.report_section import CaptionedFigure
 from parking_exp.reports.report_data import ReportData
 from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.trials import OBJECTIVE, rank_trials

@@ -11,7 +11,7 @@ import pandas as pd
 
 from parking_exp.figure_style import clean
 from parking_exp.report_section import Column, Row, Table
-from parking_exp.reports.tables.table import without_constants
+from parking_exp.reports.tables.table import move_constants_to_caption
 
 MAX_COLUMNS = 5  # of a table beside its first column; more make another table
 MAX_ROWS = 8  # of a table on one page
@@ -37,7 +37,7 @@ ESCAPED = str.maketrans(SPECIAL)
 def to_latex(table: Table) -> str:
     """Return a table with the columns for a paper; a wide one as several tables."""
     paper = replace(table, columns=[column for column in table.columns if column.paper])
-    readable = without_constants(paper)
+    readable = move_constants_to_caption(paper)
     first, *others = readable.columns
     caption = readable.caption.translate(ESCAPED)
     parts = ["% \\usepackage{array,booktabs,longtable}\n"]

@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from parking_exp.config.settings import display_setting
 from parking_exp.report_section import Column, Row, Table, cell_row
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import CellSummary, ReportData
@@ -23,7 +24,7 @@ from parking_exp.reports.tables.table import (
 from parking_exp.tasks.metrics import STEPS
 
 
-def headline(report: ReportData) -> Iterator[Table]:
+def headline_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of what each cell reached and what it cost."""
     columns = [
         cell_column(),
@@ -70,7 +71,7 @@ def headline(report: ReportData) -> Iterator[Table]:
     )
 
 
-def means(report: ReportData) -> Iterator[Table]:
+def means_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of the further means of each cell, such as the length of the driven path."""
     columns = [cell_column()]
     write = partial(formats.number, digits=2)
@@ -84,7 +85,7 @@ def means(report: ReportData) -> Iterator[Table]:
     )
 
 
-def times(report: ReportData) -> Iterator[Table]:
+def times_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of how long each cell took to hold 90 %, and of the area under its curve."""
     rows = [row for row in _list_cell_rows(report) if "survival_n" in row]
     yield Table(
@@ -103,7 +104,7 @@ def times(report: ReportData) -> Iterator[Table]:
     )
 
 
-def seeds(report: ReportData) -> Iterator[Table]:
+def seeds_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of the finished runs."""
     columns = [
         cell_column(),
@@ -130,7 +131,7 @@ def seeds(report: ReportData) -> Iterator[Table]:
     )
 
 
-def curves(report: ReportData) -> Iterator[Table]:
+def curves_table(report: ReportData) -> Iterator[Table]:
     """Yield the CSV of the learning curves."""
     rows: list[Row] = []
     for cell in report.cells:
@@ -148,7 +149,7 @@ def curves(report: ReportData) -> Iterator[Table]:
     yield Table("curves", rows)
 
 
-def survival(report: ReportData) -> Iterator[Table]:
+def survival_table(report: ReportData) -> Iterator[Table]:
     """Yield the CSV of Kaplan and Meier's estimate of the env steps to 90 %."""
     rows: list[Row] = []
     for cell in report.cells:
@@ -168,7 +169,7 @@ def _list_points(cell: CellSummary, **numbers: Sequence[Any]) -> list[Row]:
     return [cell_row(cell) | point for point in points]
 
 
-def pairs(report: ReportData) -> Iterator[Table]:
+def pairs_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of the pairs of cells that were compared."""
     rows = []
     for pair in report.pairs:
@@ -202,7 +203,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
     )
 
 
-def factors(report: ReportData) -> Iterator[Table]:
+def factors_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of the difference that each factor makes."""
     rows = []
     for effect in report.effects_by_size:
@@ -217,8 +218,8 @@ def factors(report: ReportData) -> Iterator[Table]:
         rows,
         [
             text_column("Factor", "name"),
-            text_column("Highest", "highest", formats.display_setting),
-            text_column("Lowest", "lowest", formats.display_setting),
+            text_column("Highest", "highest", display_setting),
+            text_column("Lowest", "lowest", display_setting),
             interval_column("Highest − lowest (points)", "largest", formats.difference_interval),  # noqa: RUF001
             Column("p (Bonferroni)", "p", formats.probability),
         ],
@@ -229,7 +230,7 @@ def factors(report: ReportData) -> Iterator[Table]:
     )
 
 
-def effects(report: ReportData) -> Iterator[Table]:
+def effects_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of each factor's levels."""
     rows = []
     for effect in report.effects:
@@ -240,7 +241,7 @@ def effects(report: ReportData) -> Iterator[Table]:
         rows,
         [
             text_column("Factor", "factor"),
-            text_column("Level", "level", formats.display_setting),
+            text_column("Level", "level", display_setting),
             interval_column("Success (%)", "effect"),
             Column("Cells", "cells", formats.number),
         ],
@@ -255,7 +256,7 @@ def _warn_of_missing_combinations(report: ReportData) -> str:
     return "" if complete else " Combinations are missing: levels are not comparable."
 
 
-def config(report: ReportData) -> Iterator[Table]:
+def config_table(report: ReportData) -> Iterator[Table]:
     """Yield the settings that differ: a row for each cell or, if fewer, for each setting."""
     difference = report.provenance.difference
     if not difference:
@@ -263,15 +264,13 @@ def config(report: ReportData) -> Iterator[Table]:
     rows: list[dict[str, Any]] = []
     if len(difference) > len(report.cells):
         columns = [text_column("Setting", "setting")]
-        columns += [
-            text_column(cell.label, cell.id, formats.display_setting) for cell in report.cells
-        ]
+        columns += [text_column(cell.label, cell.id, display_setting) for cell in report.cells]
         for key, values in difference.items():
             by_cell = zip(report.labels, values, strict=True)
             rows.append({"setting": key, **dict(by_cell)})
     else:
         columns = [cell_column()]
-        columns += [text_column(key, key, formats.display_setting) for key in difference]
+        columns += [text_column(key, key, display_setting) for key in difference]
         for number, cell in enumerate(report.cells):
             levels = {key: values[number] for key, values in difference.items()}
             rows.append({**cell_row(cell), **levels})
@@ -284,7 +283,7 @@ def config(report: ReportData) -> Iterator[Table]:
     )
 
 
-def versions(report: ReportData) -> Iterator[Table]:
+def versions_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of versions, commits and machines."""
     origin = report.provenance
     counted = {**origin.versions, "commit": origin.commits, "machine": origin.machines}
@@ -303,7 +302,7 @@ def versions(report: ReportData) -> Iterator[Table]:
     )
 
 
-def unfinished(report: ReportData) -> Iterator[Table]:
+def unfinished_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of the runs without a result, and why."""
     rows = [row_of(run) for run in report.provenance.unfinished]
     yield Table(
@@ -319,13 +318,13 @@ def unfinished(report: ReportData) -> Iterator[Table]:
     )
 
 
-def common(report: ReportData) -> Iterator[Table]:
+def common_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of the settings that are the same in all cells."""
     rows = [{"key": key, "value": value} for key, value in report.provenance.common.items()]
     yield Table(
         "common",
         rows,
-        [text_column("Setting", "key"), text_column("Value", "value", formats.display_setting)],
+        [text_column("Setting", "key"), text_column("Value", "value", display_setting)],
         "Settings that are the same in all cells.",
         folded=True,
     )

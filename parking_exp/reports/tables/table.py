@@ -12,10 +12,11 @@ from parking_exp.statistics import Interval, finite_or_none
 PERCENT = "with 95 % intervals over seeds in brackets"
 
 
-def without_constants(table: Table) -> Table:
-    """Return a table whose caption has the notes on its columns, and what is in every row.
+def move_constants_to_caption(table: Table) -> Table:
+    """Return a table whose constant columns are in its caption instead.
 
-    These are conditions that are the same everywhere, and what is nowhere known.
+    These are conditions (`Column.given`) that are the same in every row, and columns in which
+    nothing is known. The caption also gets the notes on the other columns.
     """
     constants = ""
     columns = list(table.columns[:1])

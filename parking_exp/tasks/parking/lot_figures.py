@@ -14,13 +14,13 @@ from matplotlib.ticker import MaxNLocator
 from parking_exp.figure_style import (
     GRID,
     WIDTH_IN,
-    CaptionedFigure,
     cell_style,
     new_figure,
     percentages,
     text_colour,
     wrapped_labels,
 )
+from parking_exp.report_section import CaptionedFigure
 from parking_exp.tasks.metrics import EPISODE_SEED, SUCCESS, TIMEOUT
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, corners, direction_of
 from parking_exp.tasks.parking.parking_metrics import CRASH, PATH_COLUMNS

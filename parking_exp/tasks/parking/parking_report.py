@@ -6,8 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.figure_style import SectionFigure
-from parking_exp.report_section import Section, Table, cell_row
+from parking_exp.report_section import Section, SectionFigure, Table, cell_row
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.parking.lot import Lot, SeveralLots
 from parking_exp.tasks.parking.lot_figures import (
