@@ -28,15 +28,15 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         "Intervals are at 95 %, and are for the mean over all possible seeds. They come from a "
         "Bayesian bootstrap of the seeds and of one unseen seed. They are at least as wide as "
         "Clopper and Pearson's interval of all episodes. Below ten seeds they are compatibility "
-        "intervals: they show which means go well with the seeds, and cover less than 95 % where "
-        "seeds collapse. A single seed has no interval."
+        "intervals: they show which means are compatible with the seeds, and cover less than 95 % "
+        "where seeds collapse. A single seed has no interval."
     )
     if any(cell.total_timesteps == 0 for cell in report.cells):
         yield (
             "What is not trained has no env steps. With a single seed, the intervals of its rates "
             "are Wilson's, over its episodes."
         )
-    yield "CPU-seconds of a run count everything, its final evaluation and cross-check included."
+    yield "CPU-seconds of a run count its evaluations and its cross-check, but no imports."
     fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)
     if fewest > 1:
         share = 100 * unseen_share(fewest)
@@ -52,8 +52,8 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         )
     if any(cell.survival for cell in report.cells):
         yield (
-            "Time to 90 %: the first step from which three evaluations in a row had 90 % success. "
-            "Seeds that do not reach it are right-censored: shares are Kaplan and Meier's."
+            "Time to 90 %: the first step from which three evaluations in a row had 90 % success "
+            "or more. Seeds that do not reach it are right-censored: shares are Kaplan and Meier's."
         )
     if report.effects:
         yield (

@@ -59,7 +59,7 @@ def _find_mixed(report: ReportData) -> Iterator[str]:
     conditions: dict[str, Iterable[Setting]] = {
         **origin.versions,
         "commits": origin.commits,
-        "machines, whose CPU-seconds do not compare": origin.machines,
+        "machines, whose CPU-seconds cannot be compared": origin.machines,
         "final episodes": n_episodes,
     }
     for key, values in origin.difference.items():

@@ -71,13 +71,13 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
         # Some results have rates and nothing else, and some cells no evaluations on the way.
         if without_outcomes and evaluations.final:
             yield (
-                f"{label}: outcomes are missing of {_list_seeds(without_outcomes)}. What is made "
-                "of outcomes leaves them out."
+                f"{label}: there are no outcomes of {_list_seeds(without_outcomes)}. Tables and "
+                "figures of outcomes leave them out."
             )
         if without_curves and has_curves:
             yield (
-                f"{label}: evaluations during training are missing of "
-                f"{_list_seeds(without_curves)}. AUC and times are of other seeds than the rates."
+                f"{label}: there are no evaluations during training of "
+                f"{_list_seeds(without_curves)}. AUC and times are of the other seeds."
             )
 
 

@@ -171,7 +171,7 @@ def test_mixed_conditions_are_warned_of():
     assert mixed == [
         "Mixed highway-env: 1.12.1 and 1.11.0.",
         "Mixed commits: aaaaaaaaaa and bbbbbbbbbb.",
-        "Mixed machines, whose CPU-seconds do not compare: a CPU and other.",
+        "Mixed machines, whose CPU-seconds cannot be compared: a CPU and other.",
         "Mixed final episodes: 5 and 8.",
         "Mixed evaluation.every_n_steps: 100 and 200.",
         "Mixed evaluation.first_scene: 0 and 100.",

@@ -109,10 +109,10 @@ def _list_rates(name: str, report: Any) -> Iterator[Table]:
 
 PARKING_REPORT = TaskReport(
     methods=[
-        "Success of parking is highway-env's: close to the goal slot, at any speed. Parked is "
-        "stricter: all corners inside the slot's lines, heading within 10°, slower than 0.5 m/s. "
-        "On other lots than highway-env's, success is parked. Crash and timeout are the other ways "
-        "to end.",
+        "Success of parking is highway-env's: the weighted distance to the goal is small. With the "
+        "weights of parking-v0, it counts at any speed. Parked: all corners are inside the slot's "
+        "lines, the heading is within 10°, and the car is slower than 0.5 m/s. On other lots than "
+        "highway-env's, success is parked. Crash and timeout are the other ways to end.",
         "The planner (algorithm=planner) knows the map of each scene: slots, cars, walls and "
         "obstacles. Other agents know what env.observation shows them.",
     ],
