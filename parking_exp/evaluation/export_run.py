@@ -102,7 +102,7 @@ def _write(export: Export) -> None:
 
 def _content(agent: Agent, file_format: str) -> bytes:
     """Return the file of a policy."""
-    from parking_exp.algorithms.policy_export import export_onnx
+    from parking_exp.algorithms.onnx_export import export_onnx
     from parking_exp.algorithms.policy_files import export_safetensors
     from parking_exp.tasks.registry import make_task
 

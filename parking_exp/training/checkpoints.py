@@ -158,7 +158,7 @@ def restore(
         setattr(model, name, deque(state["model"][name], maxlen=model._stats_window_size))
     _load_buffer(model.replay_buffer, folder / BUFFER)
     if isinstance(model, FastTraining) and model._n_updates:
-        model.bind()
+        model.flatten_parameters()
     policy_ema.set_state(state["average"])
     return state["rollout"]
 

@@ -15,8 +15,8 @@ from support.marks import slow_but
 from support.models import make_model
 from support.runs import ROOT, call_script, names_in, refusal, run_script
 
-from parking_exp.algorithms import policy_export
-from parking_exp.algorithms.policy_export import export_onnx
+from parking_exp.algorithms import onnx_export
+from parking_exp.algorithms.onnx_export import export_onnx
 from parking_exp.algorithms.policy_files import export_safetensors
 from parking_exp.errors import ModelError
 from parking_exp.evaluation import export_run
@@ -89,7 +89,7 @@ def test_a_safetensors_file_has_the_weights_of_actor_and_critics():
 
 
 def test_a_file_whose_actions_differ_is_not_written(monkeypatch):
-    monkeypatch.setattr(policy_export, "TOLERANCE", -1.0)
+    monkeypatch.setattr(onnx_export, "TOLERANCE", -1.0)
     with pytest.raises(ModelError, match="actions differ"):
         export_onnx(agent("sac"))
 

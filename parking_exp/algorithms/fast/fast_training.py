@@ -27,11 +27,11 @@ class FastTraining:
 
     update_class: ClassVar[type]
     _update: Any = None
-    _bound: Sequence[int] = ()
+    _flat_addresses: Sequence[int] = ()
 
     def train(self: Any, gradient_steps: int, batch_size: int = 64) -> None:
         """Do `gradient_steps` updates on minibatches of the replay buffer."""
-        self.bind()
+        self.flatten_parameters()
         if self._update is None:
             super().train(gradient_steps, batch_size)  # type: ignore[misc]
             return
@@ -42,17 +42,17 @@ class FastTraining:
         for name, value in losses.items():
             self.logger.record(f"train/{name}", value)
 
-    def bind(self: Any) -> None:
-        """Flatten the memory of networks and optimizers, unless it is flat already.
+    def flatten_parameters(self: Any) -> None:
+        """Lay the parameters and optimizer states out in flat vectors, unless they are already.
 
         `train` calls this. Restoring a model calls it too: weights elsewhere in memory may round
         differently.
         """
-        if self._addresses() == self._bound:
+        if self._addresses() == self._flat_addresses:
             return
         with torch.no_grad():
             self._update = self.update_class(self) if is_supported(self) else None
-        self._bound = self._addresses()
+        self._flat_addresses = self._addresses()
 
     def _addresses(self: Any) -> list[int]:
         """Return where weights and optimizer states are.
@@ -73,7 +73,7 @@ class FastTraining:
         return optimizers
 
     def _excluded_save_params(self: Any) -> list[str]:
-        return [*super()._excluded_save_params(), "_update", "_bound"]  # type: ignore[misc]
+        return [*super()._excluded_save_params(), "_update", "_flat_addresses"]  # type: ignore[misc]
 
 
 def is_supported(model: Any) -> bool:

@@ -54,17 +54,20 @@ class MLP:
             _outer(gradient, values[index], out[2 * index])
             torch.sum(gradient, 0, out=out[2 * index + 1])
             if index:
-                gradient = self._back(index, values[index], gradient)
+                gradient = self._backward_layer(index, values[index], gradient)
 
     def input_gradient(self, values: list[torch.Tensor], gradient: torch.Tensor) -> torch.Tensor:
         """Return the gradient by the input, shape (batch, inputs); see `backward`."""
         for index in range(len(self.layers) - 1, 0, -1):
-            gradient = self._back(index, values[index], gradient)
-        return _times(gradient, self.layers[0][0])
+            gradient = self._backward_layer(index, values[index], gradient)
+        return _multiply(gradient, self.layers[0][0])
 
-    def _back(self, index: int, value: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:
+    def _backward_layer(
+        self, index: int, value: torch.Tensor, gradient: torch.Tensor
+    ) -> torch.Tensor:
         """Pass a gradient through a layer and the ReLU before it."""
-        return torch.ops.aten.threshold_backward(_times(gradient, self.layers[index][0]), value, 0)
+        by_input = _multiply(gradient, self.layers[index][0])
+        return torch.ops.aten.threshold_backward(by_input, value, 0)
 
 
 def tensors_of(networks: Iterable[MLP]) -> list[torch.Tensor]:
@@ -72,7 +75,8 @@ def tensors_of(networks: Iterable[MLP]) -> list[torch.Tensor]:
     return list(chain.from_iterable(network.tensors for network in networks))
 
 
-def _by_onednn(weight: torch.Tensor) -> bool:
+def _uses_onednn(weight: torch.Tensor) -> bool:
+    """Return whether a layer with such a weight goes through oneDNN."""
     is_wide = min(weight.shape) >= WIDE
     return is_wide and HAS_ONEDNN and torch.get_float32_matmul_precision() != "highest"
 
@@ -89,21 +93,22 @@ def _onednn(
 def _linear(
     x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, relu: bool = False
 ) -> torch.Tensor:
-    if _by_onednn(weight):
+    if _uses_onednn(weight):
         return _onednn(x, weight, bias, "relu" if relu else "none")
     output = torch.addmm(bias, x, weight.t())
     return output.relu_() if relu else output
 
 
-def _times(gradient: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    if _by_onednn(weight):
+def _multiply(gradient: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """Return the gradient by a layer's input."""
+    if _uses_onednn(weight):
         return _onednn(gradient, weight.t())
     return gradient @ weight
 
 
 def _outer(gradient: torch.Tensor, value: torch.Tensor, out: torch.Tensor) -> None:
     """Write the gradient by a weight, summed over the batch."""
-    if _by_onednn(out):
+    if _uses_onednn(out):
         out.copy_(_onednn(gradient.t(), value.t()))
     else:
         torch.mm(gradient.t(), value, out=out)

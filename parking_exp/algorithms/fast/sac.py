@@ -17,7 +17,7 @@ LOG_SQRT_2_PI = math.log(math.sqrt(2 * math.pi))
 EPSILON = 1e-6  # of Stable-Baselines3's SquashedDiagGaussianDistribution
 
 
-class _Update:
+class SACUpdate:
     """The update of a model's networks and entropy coefficient."""
 
     def __init__(self, model: Any) -> None:
@@ -174,4 +174,4 @@ def _squash(
 class SAC(FastTraining, stable_baselines3.SAC):
     """Stable-Baselines3's SAC with a faster `train`, which computes the same."""
 
-    update_class = _Update
+    update_class = SACUpdate
