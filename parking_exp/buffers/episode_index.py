@@ -54,7 +54,13 @@ class EpisodeIndex:
         self.current[env] = record_id
 
     def overwrite(self, record_ids: np.ndarray) -> None:
-        """Remove the transitions that the next row overwrites; `record_ids` are that row's."""
+        """Make room for the next row if the ring is full.
+
+        An episode that loses a transition is sampled no more. One under way only loses its start.
+
+        Args:
+            record_ids: records of the transitions that are overwritten, shape (n_envs,).
+        """
         oldest = self.steps - self.capacity
         if oldest < 0:
             return

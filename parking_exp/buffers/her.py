@@ -22,8 +22,8 @@ from parking_exp.config_model import (
 from parking_exp.tasks.task import GoalReward, Observation
 
 NO_GOALS = np.empty(0, np.int64)
-DEMONSTRATED = "demonstrations/"
-"""Prefix of the entries of a state that are of demonstrations."""
+DEMONSTRATIONS_PREFIX = "demonstrations/"
+"""Prefix of the state's entries that belong to demonstrations."""
 
 
 class HerBuffer(DictReplayBuffer):
@@ -171,7 +171,7 @@ class HerBuffer(DictReplayBuffer):
         if n_virtual:
             records = transitions.records[-n_virtual:]
             goal_index = self.select_goals(index[-n_virtual:], records)
-        return self._collect(transitions, goal_index)
+        return self._make_minibatch(transitions, goal_index)
 
     def select_goals(self, index: np.ndarray, record: np.ndarray) -> np.ndarray:
         """Return the indices of the transitions whose next achieved goals become virtual goals.
@@ -198,7 +198,7 @@ class HerBuffer(DictReplayBuffer):
         }
         if self.demonstrations is not None:
             for name, array in self.demonstrations.storage.get_state().items():
-                state[f"{DEMONSTRATED}{name}"] = array
+                state[f"{DEMONSTRATIONS_PREFIX}{name}"] = array
         return state
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
@@ -209,9 +209,9 @@ class HerBuffer(DictReplayBuffer):
         self._update_position()
         if self.demonstrations is not None:
             demonstrated = {
-                name.removeprefix(DEMONSTRATED): state[name]
+                name.removeprefix(DEMONSTRATIONS_PREFIX): state[name]
                 for name in state
-                if name.startswith(DEMONSTRATED)
+                if name.startswith(DEMONSTRATIONS_PREFIX)
             }
             self.demonstrations.set_transitions(demonstrated)
 
@@ -232,10 +232,13 @@ class HerBuffer(DictReplayBuffer):
         self.pos = self.episodes.steps % self.buffer_size
         self.full = self.episodes.steps >= self.buffer_size
 
-    def _collect(self, transitions: Transitions, goal_index: np.ndarray) -> DictReplayBufferSamples:
-        """Make a minibatch of transitions.
+    def _make_minibatch(
+        self, transitions: Transitions, goal_index: np.ndarray
+    ) -> DictReplayBufferSamples:
+        """Relabel the last len(goal_index) transitions with the goals achieved there.
 
-        The last len(goal_index) get the goals that were achieved there.
+        Returns:
+            All transitions as tensors.
         """
         n_virtual = self._relabel(transitions, goal_index) if len(goal_index) else 0
         self.sampled[0] += len(transitions.rewards) - n_virtual
@@ -264,22 +267,35 @@ class HerBuffer(DictReplayBuffer):
         if self.relabel_collision == "keep":
             rewards = rewards + self.reward.failure_penalty * failed
 
-        ends_at_goal = self.relabel_terminated == "env" and self.reward.terminates
-        allowed = np.ones(len(goals), bool)
-        if self.relabel_collision == "exclude":
-            allowed &= ~(failed | self.storage.failed(goal_index))
-        if ends_at_goal:
-            _, starts_there = self.reward(transitions.obs["achieved_goal"][last], goals, info)
-            allowed &= ~starts_there
+        allowed = self._may_relabel(transitions, goal_index, goals)
 
         transitions.rewards[last][allowed] = rewards[allowed]
         if self.relabel_terminated == "goal":
             transitions.terminated[last][allowed] = reached[allowed]
-        if self.relabel_terminated == "goal_and_crash" or ends_at_goal:
+        if self.relabel_terminated == "goal_and_crash" or self._ends_at_goal:
             transitions.terminated[last][allowed] = (reached | failed)[allowed]
         for obs in (transitions.obs, transitions.next_obs):
             obs["desired_goal"][last][allowed] = goals[allowed]
         return int(allowed.sum())
+
+    def _may_relabel(
+        self, transitions: Transitions, goal_index: np.ndarray, goals: np.ndarray
+    ) -> np.ndarray:
+        """Return which of the last transitions the options allow a virtual goal, shape (n,)."""
+        last = slice(-len(goal_index), None)
+        allowed = np.ones(len(goals), bool)
+        if self.relabel_collision == "exclude":
+            allowed &= ~(transitions.failed[last] | self.storage.failed(goal_index))
+        if self._ends_at_goal:
+            before = transitions.obs["achieved_goal"][last]
+            _, starts_there = self.reward(before, goals, transitions.info[last])
+            allowed &= ~starts_there
+        return allowed
+
+    @property
+    def _ends_at_goal(self) -> bool:
+        """Whether virtual transitions end as in an env that ends episodes at their goal."""
+        return self.relabel_terminated == "env" and self.reward.terminates
 
     def _tensors(self, entries: Observation) -> dict[str, torch.Tensor]:
         return {key: self._tensor(array) for key, array in entries.items()}

@@ -35,15 +35,15 @@ Transition = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
-class Recording:
-    """What is known of the demonstrations of a file, beside their transitions."""
+class DemonstrationStats:
+    """The cost and the success of demonstrations."""
 
     cpu_s: float  # that they took
     n_successes: int  # episodes that reached the goal
 
 
-def make_room(config: RunConfig, task: Task, model: OffPolicyAlgorithm) -> None:
-    """Give the replay buffer of a model an empty one for the demonstrations of its run."""
+def attach_demonstration_buffer(config: RunConfig, task: Task, model: OffPolicyAlgorithm) -> None:
+    """Attach an empty buffer for demonstrations to the replay buffer of a model."""
     buffer = model.replay_buffer
     assert isinstance(buffer, HerBuffer)
     buffer.demonstrations = type(buffer)(
@@ -59,12 +59,12 @@ def make_room(config: RunConfig, task: Task, model: OffPolicyAlgorithm) -> None:
 
 def add_demonstrations(
     config: RunConfig, model: OffPolicyAlgorithm, on_progress: Callable[[int], None]
-) -> Recording:
-    """Fill the room for the demonstrations of a run, from their file if there is one.
+) -> DemonstrationStats:
+    """Fill the demonstration buffer, from the file of the demonstrations if there is one.
 
     Args:
         config: the run's config.
-        model: the run's model, after `make_room`.
+        model: the run's model, after `attach_demonstration_buffer`.
         on_progress: called now and then with the number of recorded episodes; it may raise to
             stop.
 
@@ -81,17 +81,17 @@ def add_demonstrations(
         if not path.exists():
             began_s = time.process_time()
             n_successes = _record_episodes(config, model, demonstrations, on_progress)
-            recording = Recording(time.process_time() - began_s, n_successes)
+            stats = DemonstrationStats(time.process_time() - began_s, n_successes)
             with replacing(path) as temporary, temporary.open("wb") as file:
                 state = demonstrations.storage.get_state()
-                np.savez(file, allow_pickle=False, **asdict(recording), **state)
-            return recording
+                np.savez(file, allow_pickle=False, **asdict(stats), **state)
+            return stats
     finally:
         lock.release()
     try:
         with np.load(path, allow_pickle=False) as stored:
             demonstrations.set_transitions(stored)
-            return Recording(float(stored["cpu_s"]), int(stored["n_successes"]))
+            return DemonstrationStats(float(stored["cpu_s"]), int(stored["n_successes"]))
     except (ValueError, KeyError, EOFError, BadZipFile, ModelError) as error:
         raise ModelError(f"{path} is damaged; delete it, and it is made anew") from error
 

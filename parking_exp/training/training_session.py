@@ -68,7 +68,7 @@ class TrainingSession(RunSession):
         resources.callback(self.env.close)
         self.model = build_model(config, self.task, self.env, seeds.policy)
         if config.buffer.demonstrations:
-            demonstrations.make_room(config, self.task, self.model)
+            demonstrations.attach_demonstration_buffer(config, self.task, self.model)
         self.model.set_logger(self.logger)
         self.policy = GreedyPolicy(self.model)
         self.policy_ema = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)

@@ -109,7 +109,7 @@ def records_of(ours, index):
 
 
 def batch_of(ours, index, goal_index=NO_GOALS):
-    return ours._collect(ours.storage.take(np.asarray(index)), np.asarray(goal_index))
+    return ours._make_minibatch(ours.storage.take(np.asarray(index)), np.asarray(goal_index))
 
 
 def assert_equal(ours, theirs):

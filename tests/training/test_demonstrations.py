@@ -46,7 +46,7 @@ def configured(output_dir, *overrides):
 def demonstrated(config, on_progress=None):
     """The model of a config with its demonstrations, and what is known of them."""
     model = model_of(config)
-    demonstrations.make_room(config, make_task(config.env), model)
+    demonstrations.attach_demonstration_buffer(config, make_task(config.env), model)
     recording = demonstrations.add_demonstrations(config, model, on_progress or (lambda _: None))
     return model, recording
 
@@ -161,7 +161,7 @@ def test_a_run_that_is_stopped_while_another_records_stops_at_once(tmp_path, mon
     demonstrated(config)
     (file,) = (tmp_path / "demonstrations").glob("*.npz")
     model = model_of(config)
-    demonstrations.make_room(config, make_task(config.env), model)
+    demonstrations.attach_demonstration_buffer(config, make_task(config.env), model)
 
     def stop(_):
         raise InterruptedRunError("stopped", SIGTERM)
