@@ -11,7 +11,7 @@ from parking_exp.tasks.task import EvaluationBatch, Observation, Step
 
 
 class EnvBatch(EvaluationBatch):
-    """Episodes of Gymnasium envs, stepped together; none is ever reset by itself.
+    """Episodes of Gymnasium envs that are stepped together, without autoreset.
 
     Args:
         envs: an env for each episode; `info` of their steps has `is_success` and `failure_key`.

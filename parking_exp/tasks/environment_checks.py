@@ -72,9 +72,8 @@ def _space_problem(env: gym.Env, env_id: str) -> str | None:
 def _info_problem(reward: GymnasiumReward, env_id: str) -> str | None:
     """Return which entry of `info` is missing in random steps."""
     config = reward.config
-    _, _, _, infos = reward.steps
     known: dict[str, Any] = {}
-    for info in infos:
+    for info in reward.steps.infos:
         known |= info
     for name in ("success_key", "failure_key"):
         key = getattr(config, name)
@@ -134,7 +133,8 @@ def _reward_problem(reward: GymnasiumReward, env_id: str) -> str | None:
 
 def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
     """Return which goal never changes the rewards of random steps, `computed`, even far away."""
-    achieved, _, _, infos = reward.steps
+    achieved = reward.steps.achieved
+    infos = reward.steps.infos
     far = (achieved + FAR).astype(achieved.dtype)
     try:
         own = reward.compute(achieved, achieved.copy(), infos)

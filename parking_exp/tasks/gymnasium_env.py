@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -31,6 +31,21 @@ SUCCESS_KEYS = ("is_success", "success")
 RANDOM_STEPS = 60  # at least; see `random_steps`
 MAX_RANDOM_STEPS = 1_000
 NUMBERS = (bool, int, float, np.number, np.bool_)
+
+
+class RandomSteps(NamedTuple):
+    """n random steps of an environment.
+
+    Attributes:
+        achieved, desired: goals, shape (n, size of a goal).
+        rewards: shape (n,).
+        infos: the `info` of each step.
+    """
+
+    achieved: np.ndarray
+    desired: np.ndarray
+    rewards: np.ndarray
+    infos: list[dict[str, Any]]
 
 
 class GoalInfo(gym.Wrapper):
@@ -78,7 +93,7 @@ class GymnasiumReward(GoalReward):
             self.env.close()
 
     @cached_property
-    def steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    def steps(self) -> RandomSteps:
         """Return the steps of `random_steps`; leave the environment at the start of an episode."""
         assert isinstance(self.env, GoalInfo)
         steps = random_steps(self.env.env)
@@ -88,7 +103,8 @@ class GymnasiumReward(GoalReward):
     @cached_property
     def terminates(self) -> bool:
         """Whether episodes end where the goal is reached, as `compute_terminated` says."""
-        _, (goal, *_), _, (info, *_) = self.steps
+        goal = self.steps.desired[0]
+        info = self.steps.infos[0]
         return bool(self._compute_terminated(goal, goal, info))
 
     @cached_property
@@ -116,10 +132,10 @@ class GymnasiumReward(GoalReward):
         return tuple(keys)
 
     @cached_property
-    def _infos(self) -> Callable[[list[dict[str, Any]]], Any]:
-        """The type in which `compute_reward` takes many infos.
+    def _convert_infos(self) -> Callable[[list[dict[str, Any]]], Any]:
+        """The function that converts many infos to what `compute_reward` takes.
 
-        A list, or an array where it takes no list: Stable-Baselines3 passes both
+        That is a list, or an array where it takes no list: Stable-Baselines3 passes both
         (`copy_info_dict`).
         """
         achieved, desired, _, infos = self.steps
@@ -133,7 +149,7 @@ class GymnasiumReward(GoalReward):
         self, achieved: np.ndarray, desired: np.ndarray, infos: list[dict[str, Any]]
     ) -> np.ndarray:
         """Return the rewards that the environment or one of its wrappers computes, shape (n,)."""
-        infos = self._infos(infos)
+        infos = self._convert_infos(infos)
         rewards = self.env.get_wrapper_attr("compute_reward")(achieved, desired, infos)
         return np.reshape(rewards, -1)  # one number for one goal, or a column
 
@@ -151,8 +167,8 @@ class GymnasiumReward(GoalReward):
         return reward, np.array(reached, bool)
 
 
-def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-    """Return achieved goals, desired goals, rewards and infos of random steps, always the same.
+def random_steps(env: gym.Env) -> RandomSteps:
+    """Take random steps, always the same.
 
     At least one episode ends, unless it is longer than MAX_RANDOM_STEPS: some entries of `info`
     appear only at the end.
@@ -173,7 +189,7 @@ def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list
         if terminated or truncated:
             has_ended = True
             env.reset()
-    return np.array(achieved), np.array(desired), np.array(rewards), infos
+    return RandomSteps(np.array(achieved), np.array(desired), np.array(rewards), infos)
 
 
 def make_gymnasium_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env:

@@ -92,7 +92,7 @@ class Policy(ABC):
 
 
 class EvaluationBatch(Protocol):
-    """Episodes that are stepped together, each from its own seed; none is ever reset by itself."""
+    """Episodes that are stepped together, each from its own seed, without autoreset."""
 
     @abstractmethod
     def __len__(self) -> int:

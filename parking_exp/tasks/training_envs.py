@@ -1,15 +1,16 @@
 """Training envs as a monitored Stable-Baselines3 VecEnv; their state, for exact resume."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.utils import seeding
 from stable_baselines3.common.monitor import ResultsWriter
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
+from parking_exp.tasks.reset_rng import reset_rng
 from parking_exp.tasks.task import Task
 
 MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
@@ -23,15 +24,14 @@ class ReplayActions(gym.Wrapper):
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
-        self._start: dict[str, Any] | None = None
+        self._start: Mapping[str, Any] | None = None
         self._actions: list[np.ndarray] = []
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
-        rng = self.unwrapped.np_random if seed is None else seeding.np_random(seed)[0]
-        self._start = rng.bit_generator.state
+        self._start = reset_rng(self, seed).bit_generator.state
         self._actions = []
         return self.env.reset(seed=seed, options=options)
 

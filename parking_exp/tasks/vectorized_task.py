@@ -106,7 +106,7 @@ class TaskReward(GoalReward):
 
 
 class ArrayBatch(EvaluationBatch):
-    """Episodes of a task that are stepped together; none is ever reset by itself."""
+    """Episodes of a task that are stepped together, without autoreset."""
 
     def __init__(self, task: VectorizedTask, seeds: Sequence[int]) -> None:
         self.task = task

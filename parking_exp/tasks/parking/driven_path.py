@@ -18,7 +18,7 @@ STANDING_MPS = 0.1
 REAR_AXLE_M = CAR_LENGTH_M / 2  # behind the middle of highway-env's car
 
 
-class DrivenBatch:
+class DrivenBatch(EvaluationBatch):
     """Episodes of parking whose `info` also tells how the car was driven.
 
     Paths are those of the middle of the rear axle, which moves in the direction of the heading.

@@ -28,12 +28,18 @@ class EgoFrameExtractor(TaskFeatures):
 
     Other vehicles and rays that the observation shows come last, in the car's frame, too.
 
-    Output, shape (batch, 10 + 5 K + N) for K other vehicles and N rays: goal ahead and to the side
-    (10 m), cos and sin of the goal's heading relative to the car's, signed speed (observation
-    units), distance to the goal (10 m), x and y in the lot (half its length and width), cos and sin
-    of the heading; of each vehicle presence, ahead and to the side (10 m), cos and sin of its
-    heading relative to the car's; of each ray the nearness, 1 minus the observed fraction. Where
-    nothing is seen it is 0, like the features of absent vehicles.
+    Output, shape (batch, 10 + 5 K + N) for K other vehicles and N rays. Column:
+
+        0, 1    goal ahead and to the left (10 m)
+        2, 3    cos and sin of the goal's heading relative to the car's
+        4       signed speed (observation units)
+        5       distance to the goal (10 m)
+        6, 7    x and y in the lot (half its length and width)
+        8, 9    cos and sin of the heading
+
+    5 columns of each vehicle follow: presence, ahead and to the left (10 m), cos and sin of its
+    heading relative to the car's. They are 0 where there is no vehicle. Then comes a column for
+    each ray, 1 minus the observed fraction. It is 0 where nothing is seen.
 
     Args:
         observation_space: the env's observation space.
@@ -42,7 +48,7 @@ class EgoFrameExtractor(TaskFeatures):
         rays: number of rays in the observation.
     """
 
-    of_each_vehicle = 5  # features
+    features_per_vehicle = 5
 
     def __init__(
         self,
@@ -54,8 +60,8 @@ class EgoFrameExtractor(TaskFeatures):
         size = spaces.flatdim(observation_space["observation"])
         self.first_ray_entry = size - rays
         self.vehicles_count = (self.first_ray_entry - len(DEFAULT_FEATURES)) // len(ENTRIES)
-        n_of_vehicles = self.vehicles_count * self.of_each_vehicle
-        super().__init__(observation_space, features_dim + n_of_vehicles + rays)
+        n_vehicle_features = self.vehicles_count * self.features_per_vehicle
+        super().__init__(observation_space, features_dim + n_vehicle_features + rays)
         self.lot_size_m = lot_size_m
         self.rays = rays
 
@@ -63,16 +69,16 @@ class EgoFrameExtractor(TaskFeatures):
         """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K + N)
         and goals of 6.
         """
-        of_car = self.of_car(observations)
-        parts = [of_car]
+        car_features = self.encode_car(observations)
+        parts = [car_features]
         if self.vehicles_count:
-            parts.append(self.of_vehicles(observations, of_car).flatten(1))
+            parts.append(self.encode_vehicles(observations, car_features).flatten(1))
         if self.rays:
             parts.append(1 - observations["observation"][:, self.first_ray_entry :])
         return torch.cat(parts, dim=-1)
 
-    def of_vehicles(
-        self, observations: dict[str, torch.Tensor], of_car: torch.Tensor
+    def encode_vehicles(
+        self, observations: dict[str, torch.Tensor], car_features: torch.Tensor
     ) -> torch.Tensor:
         """Return the vehicles' features, (batch, K, features of each), 0 where there is none."""
         observation = observations["observation"]
@@ -94,7 +100,7 @@ class EgoFrameExtractor(TaskFeatures):
             dim=-1,
         )
 
-    def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+    def encode_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return the features of car and goal, shape (batch, 10)."""
         car = observations["observation"][:, : len(DEFAULT_FEATURES)]
         x, y, vx, vy, cos_h, sin_h = car.unbind(-1)
@@ -128,14 +134,19 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     also come at the scale of a slot, since the reward has a cusp at the goal. The goal's frame
     shows whether the car is in line with the slot, and which of the neighbouring slots are taken.
 
-    Output, shape (batch, 19 + 9 K + N), one more if `reward_weights` weigh velocity: the features
-    of `EgoFrameExtractor` but for vehicles and rays; the car's position along and across the
-    goal's heading, seen from the goal (10 m), and its velocity in these directions (observation
-    units); the goal ahead and to the side, and the car along and across, as tanh of their distance
-    / 2 m; the root of the weighted distance, which is minus the dense reward of parking-v0; the
-    goal's signed speed (observation units); of each vehicle those of `EgoFrameExtractor`, ahead and
-    to the side as tanh of the distance / 4 m, and along and across the goal's heading, seen from
-    the goal, as tanh of the distance / 4 m; the rays.
+    Output, shape (batch, 19 + 9 K + N), one more if `reward_weights` weigh velocity. Column:
+
+        0 to 5  those of `EgoFrameExtractor`
+        6 to 9  x, y, cos and sin of the heading, as there, turned to the goal
+        10, 11  the car along and across the goal's heading, seen from the goal (10 m)
+        12, 13  the car's velocity in these directions (observation units)
+        14, 15  tanh(goal ahead / 2 m), tanh(goal to the left / 2 m)
+        16, 17  tanh(car along / 2 m), tanh(car across / 2 m)
+        18      root of the weighted distance, minus the dense reward of parking-v0
+        19      signed speed of the goal (observation units), if `reward_weights` weigh velocity
+
+    9 columns of each vehicle follow: the 5 of `EgoFrameExtractor`, tanh(ahead / 4 m), tanh(left /
+    4 m), and the same for along and across the goal's heading, seen from the goal. Rays come last.
 
     Args:
         observation_space: the env's observation space.
@@ -145,7 +156,7 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         lot: `lot_size_m` and `rays` of `EgoFrameExtractor`.
     """
 
-    of_each_vehicle = 9
+    features_per_vehicle = 9
 
     def __init__(
         self,
@@ -164,22 +175,22 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         self.turned = turned
         self.moving_goals = moving_goals
 
-    def of_vehicles(
-        self, observations: dict[str, torch.Tensor], of_car: torch.Tensor
+    def encode_vehicles(
+        self, observations: dict[str, torch.Tensor], car_features: torch.Tensor
     ) -> torch.Tensor:
         """Return the vehicles' features, (batch, K, 9), 0 where there is none."""
-        vehicles = super().of_vehicles(observations, of_car)
+        vehicles = super().encode_vehicles(observations, car_features)
         presence, ahead, left = vehicles[..., :3].unbind(-1)
-        goal_ahead, goal_left, cos, sin = of_car[:, :4].split(1, dim=-1)
+        goal_ahead, goal_left, cos, sin = car_features[:, :4].split(1, dim=-1)
         dx = ahead - goal_ahead
         dy = left - goal_left
         near = torch.stack((ahead, left, cos * dx + sin * dy, cos * dy - sin * dx), dim=-1)
         near = torch.tanh(near * (GOAL_SCALE_M / VEHICLE_M)) * presence[..., None]
         return torch.cat((vehicles, near), dim=-1)
 
-    def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+    def encode_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return the features of car and goal, shape (batch, 19 or 20)."""
-        features = super().of_car(observations)
+        features = super().encode_car(observations)
         car = observations["observation"][:, : len(DEFAULT_FEATURES)]
         goal = observations["desired_goal"]
         pose = features[:, 6:]
@@ -239,8 +250,8 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
         across = list(self.ACROSS)
         size = self.features_dim - handed
         first_ray = size - self.rays
-        first_vehicle = first_ray - self.vehicles_count * self.of_each_vehicle
-        for first in range(first_vehicle, first_ray, self.of_each_vehicle):
+        first_vehicle = first_ray - self.vehicles_count * self.features_per_vehicle
+        for first in range(first_vehicle, first_ray, self.features_per_vehicle):
             across += [first + lateral for lateral in self.ACROSS_OF_VEHICLE]
         signs = torch.ones(size)
         signs[across] = -1.0

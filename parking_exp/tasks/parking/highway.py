@@ -109,7 +109,7 @@ def _scaled_features(sensor: Any, thing: Any) -> np.ndarray:
 
 
 class HighwayBatch(EnvBatch):
-    """n scenes of highway-env itself, an env for each, stepped together; never reset by itself."""
+    """n scenes of highway-env itself, an env for each, without autoreset."""
 
     def __init__(self, config: ParkingConfig, scenes: Sequence[int]) -> None:
         super().__init__([make_parking_env(config) for _ in scenes], scenes, "crashed")

@@ -22,7 +22,7 @@ from parking_exp.tasks.parking.geometry import (
     SLOT_WIDTH_M,
     SLOTS_PER_ROW,
 )
-from parking_exp.tasks.parking.scenes import MOST_SCENES, NO_SLOT, Scenes
+from parking_exp.tasks.parking.scenes import MOST_SCENES, NO_SLOT, Scenes, scene_rng
 
 # Half the length and width of the area: within the walls, outside of the slots.
 AISLE_M = np.array([33.0, 8.5])
@@ -49,17 +49,19 @@ class HighwayLot:
 
     Attributes:
         vehicles_range: the lowest and the highest number of parked cars, at most 26; see
-            `sampled_number`.
-        n_obstacles: the number of obstacles; see `places_of_scene`.
+            `sample_vehicles_count`.
+        n_obstacles: the number of obstacles; see `obstacles_of_scene`.
+
+    The other attributes are described at `lot.Lot`.
     """
 
     vehicles_range: tuple[int, int]
     n_obstacles: int
-    nearest_row_m = ROW_Y_M  # no row is nearer to the middle of the lot
+    nearest_row_m = ROW_Y_M
     size_m = (LOT_LENGTH_M, LOT_WIDTH_M)
-    same_walls = True  # in all scenes
-    turned = True  # equals itself when it is turned by 180 degrees
-    handed = False  # equals its mirror image
+    same_walls = True
+    turned = True
+    handed = False
 
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:
         """Return the scenes of `env.reset(seed=s)` of highway-env, bit for bit."""
@@ -68,12 +70,12 @@ class HighwayLot:
         slots = np.zeros((len(seeds), 1 + self.vehicles_range[1]), np.int64)
         obstacles = np.empty((len(seeds), self.n_obstacles, 2))
         for row, seed in enumerate(seeds):
-            # What gymnasium's `np_random(seed)` makes; Generator.choice draws as `integers` does.
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
-            number[row] = sampled_number(rng.bit_generator, *self.vehicles_range)
+            rng = scene_rng(seed)
+            number[row] = sample_vehicles_count(rng.bit_generator, *self.vehicles_range)
             if self.n_obstacles:
-                obstacles[row] = places_of_scene(rng.bit_generator, self.n_obstacles)
+                obstacles[row] = obstacles_of_scene(rng.bit_generator, self.n_obstacles)
             heading[row] = 2.0 * np.pi * rng.uniform()
+            # As highway-env's `Generator.choice` draws them.
             draws = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + number[row])]
             slots[row, : len(draws)] = draws
         return _from_draws(heading, slots, number, obstacles)
@@ -95,9 +97,13 @@ class HighwayLot:
 def _from_draws(
     heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray
 ) -> Scenes:
-    """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots.
+    """Return the scenes of drawn numbers.
 
-    `number` of the cars count.
+    Args:
+        heading: headings of the car at the start, shape (n,) [rad].
+        draws: numbers of slots among those still free, the goal's first, shape (n, 1 + vehicles).
+        number: how many of the parked cars each scene has, shape (n,).
+        obstacles: places of obstacles, shape (n, obstacles, 2) [m].
     """
     taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
     taken[:, 0] = start_slot(heading)
@@ -136,7 +142,7 @@ def start_slot(heading: np.ndarray) -> np.ndarray:
     return np.where(above <= below, *_START_SLOTS)
 
 
-def sampled_number(bit_generator: Any, low: int, high: int) -> int:
+def sample_vehicles_count(bit_generator: Any, low: int, high: int) -> int:
     """Return a scene's number of vehicles, uniform in low ... high; its generator stays as it is.
 
     The number is sampled by the scene's generator, jumped once: `env.reset(seed=s)` has
@@ -157,7 +163,7 @@ def sampled_places(rng: np.random.Generator, n: int) -> np.ndarray:
     return places[:n]
 
 
-def places_of_scene(bit_generator: Any, n: int) -> np.ndarray:
+def obstacles_of_scene(bit_generator: Any, n: int) -> np.ndarray:
     """Return the places of a scene's obstacles, without using up its random generator.
 
     They are sampled by that generator, jumped twice: `env.reset(seed=s)` has

@@ -9,12 +9,13 @@ import numpy as np
 
 from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 from parking_exp.tasks.parking.highway_lot import HighwayLot
-from parking_exp.tasks.parking.lot_config import GAP_M, SAMPLED_NUMBERS, TINY, LotConfig, LotNumbers
+from parking_exp.tasks.parking.lot_config import DIMENSIONS, GAP_M, TINY, LotConfig, LotDimensions
 from parking_exp.tasks.parking.parking_config import ParkingConfig
-from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, scene_rng
 
-# Of `LotNumbers`, the ones that a scene always takes a number for, and takes first. The others come
-# last, and only those that are ranges: the scenes of lots without such ranges are what they were.
+# Of `LotDimensions`, the ones that a scene always takes a number for, and takes first. The others
+# come last, and only those that are ranges: the scenes of lots without such ranges are what they
+# were.
 N_FIRST = 3
 
 
@@ -35,9 +36,7 @@ class SampledLot(ABC):
         """Return the scenes of `env.reset(seed=s)`."""
         draws = np.empty((len(seeds), self.n_draws))
         for row, seed in enumerate(seeds):
-            # What gymnasium's `np_random(seed)` makes.
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
-            draws[row] = rng.random(self.n_draws)
+            draws[row] = scene_rng(seed).random(self.n_draws)
         return self.scenes(draws)
 
     def random(self, rng: np.random.Generator, n: int) -> Scenes:
@@ -62,7 +61,7 @@ class ParametricLot(SampledLot):
         lowest, highest = config.ranges
         is_range = lowest < highest
         is_range[:N_FIRST] = False
-        self._sampled_last = np.flatnonzero(is_range)  # of `LotNumbers`
+        self._sampled_last = np.flatnonzero(is_range)  # of `LotDimensions`
         n_of_parts = (N_FIRST, 3, 2, config.n_slots, len(self._sampled_last))
         self._part_ends = np.cumsum(n_of_parts)
         self.n_draws = int(self._part_ends[-1])
@@ -87,47 +86,47 @@ class ParametricLot(SampledLot):
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
         n = len(draws)
         parts = np.split(draws, self._part_ends[:-1], axis=1)
-        first, starts, goal_and_number, order, sampled_last = parts
-        shares = np.zeros((n, len(SAMPLED_NUMBERS)))
+        first, starts, goal_and_n_cars, order, sampled_last = parts
+        shares = np.zeros((n, len(DIMENSIONS)))
         shares[:, :N_FIRST] = first
         shares[:, self._sampled_last] = sampled_last
-        numbers = self.config.numbers(shares)
-        slots, box, middle = self._geometry(numbers)
+        dimensions = self.config.dimensions(shares)
+        slots, box, middle = self._geometry(dimensions)
 
         lowest, highest = self._starts
         start = lowest + starts * (highest - lowest)
         start[:, :2] += middle
-        goal = self._goals[(goal_and_number[:, 0] * len(self._goals)).astype(np.int64)]
+        goal = self._goals[(goal_and_n_cars[:, 0] * len(self._goals)).astype(np.int64)]
         low, high = self.vehicles_range
-        number = low + (goal_and_number[:, 1] * (high - low + 1)).astype(np.int64)
+        n_cars = low + (goal_and_n_cars[:, 1] * (high - low + 1)).astype(np.int64)
         return Scenes(
             start=start,
             goal=goal,
-            vehicles=self._taken(order, goal, number),
+            vehicles=self._taken(order, goal, n_cars),
             obstacles=np.zeros((n, 0, 2)),
             slots=slots,
-            slot_size=np.stack([numbers.slot_length_m, numbers.slot_width_m], axis=1),
+            slot_size=np.stack([dimensions.slot_length_m, dimensions.slot_width_m], axis=1),
             box=box,
         )
 
-    def _geometry(self, numbers: LotNumbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _geometry(self, dimensions: LotDimensions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the poses of the slots, shape (n, slots, 3), the size of the box, and the middle
         of the aisle in it, both of shape (n, 2).
 
         The middle of the box is the origin.
         """
         config = self.config
-        aisle = numbers.aisle_width_m
-        cos, sin = numbers.direction
-        depth = numbers.slot_length_m * sin + numbers.slot_width_m * cos
-        left, right = config.ends_m(numbers)
+        aisle = dimensions.aisle_width_m
+        cos, sin = dimensions.direction
+        depth = dimensions.slot_length_m * sin + dimensions.slot_width_m * cos
+        left, right = config.ends_m(dimensions)
         above = aisle / 2 + depth + GAP_M
         below = above if config.rows == 2 else aisle / 2
         middle = np.stack([left - right, below - above], axis=1) / 2
         box = np.stack([left + right, above + below], axis=1) + WALL_THICKNESS_M
 
         in_row = np.arange(config.slots_per_row) - (config.slots_per_row - 1) / 2
-        x = numbers.sampled_pitch_m[:, None] * in_row
+        x = dimensions.sampled_pitch_m[:, None] * in_row
         y = np.repeat(((aisle + depth) / 2)[:, None], config.slots_per_row, axis=1)
         if config.rows == 2:
             # The row below is the one above, turned by 180 degrees.
@@ -136,14 +135,14 @@ class ParametricLot(SampledLot):
         slots = np.empty((*x.shape, 3))
         slots[..., 0] = x + middle[:, :1]
         slots[..., 1] = y + middle[:, 1:]
-        slots[..., 2] = np.radians(numbers.angle_deg)[:, None]
+        slots[..., 2] = np.radians(dimensions.angle_deg)[:, None]
         slots[:, config.slots_per_row :, 2] += np.pi
         if config.heading == "out":
             slots[..., 2] += np.pi
         return slots, box, middle
 
-    def _taken(self, order: np.ndarray, goal: np.ndarray, number: np.ndarray) -> np.ndarray:
-        """Return the slots of parked cars, shape (n, most cars), NO_SLOT beyond their number."""
+    def _taken(self, order: np.ndarray, goal: np.ndarray, n_cars: np.ndarray) -> np.ndarray:
+        """Return the slots of parked cars, shape (n, most cars), NO_SLOT beyond `n_cars`."""
         order = order.copy()
         rows = np.arange(len(order))
         if self.config.neighbours == "taken":
@@ -151,7 +150,7 @@ class ParametricLot(SampledLot):
             order[rows, goal + 1] = -1.0
         order[rows, goal] = 1.0
         taken = np.argsort(order, axis=1, kind="stable")[:, : self.vehicles_range[1]]
-        taken[np.arange(taken.shape[1]) >= number[:, None]] = NO_SLOT
+        taken[np.arange(taken.shape[1]) >= n_cars[:, None]] = NO_SLOT
         return taken
 
 
@@ -178,23 +177,23 @@ class SeveralLots(SampledLot):
 
     def scenes(self, draws: np.ndarray) -> Scenes:
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
-        number = (draws[:, 0] * len(self.lots)).astype(np.int64)  # of the lot
+        lot_index = (draws[:, 0] * len(self.lots)).astype(np.int64)
         parts = []
         for index, lot in enumerate(self.lots):
-            of_lot = draws[number == index, 1 : 1 + lot.n_draws]
-            parts.append(self._of_equal_shape(lot.scenes(of_lot)))
+            of_lot = draws[lot_index == index, 1 : 1 + lot.n_draws]
+            parts.append(self._pad(lot.scenes(of_lot)))
         # From the order of the lots back to that of the scenes.
-        place = np.argsort(np.argsort(number, kind="stable"))
+        place = np.argsort(np.argsort(lot_index, kind="stable"))
         arrays = {}
         for name in vars(parts[0]):
             in_order = np.concatenate([getattr(part, name) for part in parts])
             arrays[name] = in_order[place]
         return Scenes(**arrays)
 
-    def _of_equal_shape(self, scenes: Scenes) -> Scenes:
-        """Return scenes with as many places for slots and parked cars as the largest lot has.
+    def _pad(self, scenes: Scenes) -> Scenes:
+        """Pad scenes to as many slots and parked cars as the largest lot has.
 
-        What is missing of the slots is their last one again, and of the cars NO_SLOT.
+        The last slot is repeated. Cars that are missing are NO_SLOT.
         """
         n, n_slots, _ = scenes.slots.shape
         _, most = self.vehicles_range
@@ -205,18 +204,29 @@ class SeveralLots(SampledLot):
 
 
 Lot = HighwayLot | ParametricLot | SeveralLots
+"""Where scenes take place. All lots have `from_seeds`, `random`, and these attributes:
+
+vehicles_range: the lowest and the highest number of parked cars.
+size_m: length and width of the largest box.
+nearest_row_m: no slot's centre is nearer to the middle of the lot, in y.
+same_walls: whether all scenes have the same walls.
+turned: whether the lot equals itself when it is turned by 180 degrees.
+handed: whether it differs from its mirror image.
+"""
 
 
 def lot_of(config: ParkingConfig) -> Lot:
     """Return the lot of an `env` group, or its lots in one."""
     lots = config.lot_configs.values()
     if lots:
-        return sampled_lot(lots, config.vehicles_count)
+        return make_lot_of_sections(lots, config.vehicles_count)
     return HighwayLot(config.vehicles_range, config.obstacles)
 
 
-def sampled_lot(configs: Iterable[LotConfig], vehicles_count: Any) -> ParametricLot | SeveralLots:
-    """Return a lot, or several in one; `vehicles_count` is that of the env."""
+def make_lot_of_sections(
+    configs: Iterable[LotConfig], vehicles_count: Any
+) -> ParametricLot | SeveralLots:
+    """Return the lot of one section, or several in one; `vehicles_count` is that of the env."""
     lots = [ParametricLot(config, config.vehicles_range(vehicles_count)) for config in configs]
     if len(lots) == 1:
         return lots[0]

@@ -27,9 +27,9 @@ def bounds(value: Any) -> tuple[Any, Any]:
 def _check_sampled(value: Any, limits: tuple[float, float], sentence: str) -> float | list[float]:
     """Return a number, or the lowest and the highest of those that scenes sample."""
     low, high = bounds(value)
-    numbers = {type(low), type(high)} <= {int, float}
+    are_numbers = {type(low), type(high)} <= {int, float}
     lowest, highest = limits
-    if not (numbers and lowest <= low <= high <= highest):
+    if not (are_numbers and lowest <= low <= high <= highest):
         raise ValueError(sentence)
     return [float(low), float(high)] if isinstance(value, list) else float(value)
 
@@ -86,8 +86,8 @@ class StartsConfig(ConfigModel):
 
 
 @dataclass(frozen=True)
-class LotNumbers:
-    """The numbers that n scenes sample of their lot, each of shape (n,) [m, degrees].
+class LotDimensions:
+    """The dimensions that n scenes sample of their lot, each of shape (n,) [m, degrees].
 
     They have the names of their keys, and the order in which they are sampled.
     """
@@ -118,13 +118,13 @@ class LotNumbers:
         return np.where(np.isnan(self.pitch_m), self.closest_pitch_m, self.pitch_m)
 
 
-SAMPLED_NUMBERS = tuple(field.name for field in fields(LotNumbers))
+DIMENSIONS = tuple(field.name for field in fields(LotDimensions))
 
 
 class LotConfig(ConfigModel):
     """Rows of equal slots along an aisle, in a box of four walls.
 
-    The numbers of `LotNumbers` may be ranges, from which each scene samples its own.
+    The keys of `LotDimensions` may be ranges, from which each scene samples its own dimensions.
     """
 
     angle_deg: Angle  # of the slots to the aisle
@@ -160,8 +160,8 @@ class LotConfig(ConfigModel):
 
     @property
     def ranges(self) -> np.ndarray:
-        """The lowest and the highest of the numbers of `LotNumbers`, shape (2, 6)."""
-        ranges = [bounds(getattr(self, name)) for name in SAMPLED_NUMBERS]
+        """The lowest and the highest of each of the `LotDimensions`, shape (2, 6)."""
+        ranges = [bounds(getattr(self, name)) for name in DIMENSIONS]
         return np.array(ranges, dtype=np.float64).T
 
     def vehicles_range(self, of_env: Any) -> tuple[int, int]:
@@ -173,36 +173,36 @@ class LotConfig(ConfigModel):
             return bounds(of_env)
         return bounds(self.vehicles_count)
 
-    def numbers(self, shares: np.ndarray) -> LotNumbers:
-        """Return the numbers of n scenes.
+    def dimensions(self, shares: np.ndarray) -> LotDimensions:
+        """Return the dimensions of n scenes.
 
         Args:
-            shares: how far they are from the lowest number, 0, to the highest, 1. Shape (n, 6), or
-                (n, 1) if they are the same for all numbers.
+            shares: how far they are from the lowest value, 0, to the highest, 1. Shape (n, 6), or
+                (n, 1) if they are the same for all dimensions.
         """
         low, high = self.ranges
-        numbers = low + shares * (high - low)
-        return LotNumbers(*numbers.T)
+        dimensions = low + shares * (high - low)
+        return LotDimensions(*dimensions.T)
 
-    def extremes(self) -> LotNumbers:
-        """Return numbers among which are those of the smallest and of the largest lot."""
+    def extremes(self) -> LotDimensions:
+        """Return dimensions among which are those of the smallest and of the largest lot."""
         _, length = bounds(self.slot_length_m)
         _, width = bounds(self.slot_width_m)
         diagonal = np.degrees(np.arctan2(width, length))
         # Rows and the closest pitch are longest where a diagonal of the slots is along the aisle.
         # Slots are deepest where it is across. Away from these angles all of them only shrink, so
-        # they are smallest at an end of the range. With all other numbers they only grow.
+        # they are smallest at an end of the range. With all other dimensions they only grow.
         angles = np.clip([0.0, diagonal, 90.0 - diagonal, 90.0], *bounds(self.angle_deg))
         shares = np.repeat([0.0, MAX_SHARE], len(angles))
-        numbers = self.numbers(shares[:, None])
-        return replace(numbers, angle_deg=np.tile(angles, 2))
+        dimensions = self.dimensions(shares[:, None])
+        return replace(dimensions, angle_deg=np.tile(angles, 2))
 
-    def ends_m(self, numbers: LotNumbers) -> np.ndarray:
+    def ends_m(self, dimensions: LotDimensions) -> np.ndarray:
         """Return how far the aisle goes left and right of the middle of its rows, shape (2, n)."""
-        cos, sin = numbers.direction
-        slot = numbers.slot_length_m * cos + numbers.slot_width_m * sin
-        half_row = (slot + (self.slots_per_row - 1) * numbers.sampled_pitch_m) / 2
-        ends = half_row + np.array([numbers.end_m, numbers.end_m])
+        cos, sin = dimensions.direction
+        slot = dimensions.slot_length_m * cos + dimensions.slot_width_m * sin
+        half_row = (slot + (self.slots_per_row - 1) * dimensions.sampled_pitch_m) / 2
+        ends = half_row + np.array([dimensions.end_m, dimensions.end_m])
         if self.dead_end:
             ends[1] = half_row + GAP_M
         return ends

@@ -4,11 +4,12 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 
-from parking_exp.tasks.parking.highway_lot import sampled_number
+from parking_exp.tasks.parking.highway_lot import sample_vehicles_count
 from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES
 from parking_exp.tasks.parking.scenes import FAR_M
+from parking_exp.tasks.parking.sensor_wrapper import SensorWrapper
+from parking_exp.tasks.reset_rng import reset_rng
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
 """Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the
@@ -44,45 +45,7 @@ def nearest_vehicles(
     return seen.reshape(len(position), -1)
 
 
-class SeenByCar(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
-    """Base of wrappers that append what the car sees to `observation` of parking-v0.
-
-    Args:
-        env: highway-env's parking-v0 with the observation type KinematicsGoal.
-        size: number of entries that are appended.
-    """
-
-    def __init__(self, env: gym.Env, size: int) -> None:
-        gym.ObservationWrapper.__init__(self, env)
-        assert isinstance(env.observation_space, spaces.Dict)
-        size += spaces.flatdim(env.observation_space["observation"])
-        box = spaces.Box(-np.inf, np.inf, (size,), np.float64)
-        self.observation_space = spaces.Dict(env.observation_space.spaces | {"observation": box})
-
-    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return the observation with what the car sees."""
-        entries = np.concatenate([observation["observation"], self.seen()])
-        return observation | {"observation": entries}
-
-    def seen(self) -> np.ndarray:
-        """Return the entries that are appended, shape (size,)."""
-        raise NotImplementedError
-
-    def others(self, *, walls: bool) -> list[Any]:
-        """Return the vehicles but for the car, and the obstacles, walls among them or not."""
-        from highway_env.vehicle.objects import Obstacle
-
-        car = self.unwrapped.vehicle
-        road = self.unwrapped.road
-        others = [vehicle for vehicle in road.vehicles if vehicle is not car]
-        for item in road.objects:
-            # Walls are obstacles with a length of their own.
-            if isinstance(item, Obstacle) and (walls or item.LENGTH == Obstacle.LENGTH):
-                others.append(item)
-        return others
-
-
-class NearbyVehicles(SeenByCar):
+class NearbyVehicles(SensorWrapper):
     """Append the nearest vehicles and obstacles to `observation` of parking-v0, but not to goals.
 
     The observation gets 5 entries more for each vehicle, see `ENTRIES`; x and y are in 100 m,
@@ -99,17 +62,20 @@ class NearbyVehicles(SeenByCar):
         super().__init__(env, vehicles_count * len(ENTRIES))
         self.vehicles_count = vehicles_count
 
-    def seen(self) -> np.ndarray:
+    def measure(self) -> np.ndarray:
         """Return the nearest vehicles."""
         car = self.unwrapped.vehicle
-        others = self.others(walls=False)
+        others = self.find_others(walls=False)
         positions = np.array([vehicle.position for vehicle in others]).reshape(1, -1, 2)
         headings = np.array([[vehicle.heading for vehicle in others]])
         return nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]
 
 
 class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
-    """Sample `vehicles_count` at each reset, uniform from `low` to `high`; see `sampled_number`."""
+    """Sample `vehicles_count` at each reset, uniform from `low` to `high`.
+
+    See `sample_vehicles_count`.
+    """
 
     def __init__(self, env: gym.Env, low: int, high: int) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, low=low, high=high)
@@ -121,8 +87,8 @@ class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
-        rng = self.unwrapped.np_random if seed is None else gym.utils.seeding.np_random(seed)[0]
-        number = sampled_number(rng.bit_generator, self.low, self.high)
+        rng = reset_rng(self, seed)
+        number = sample_vehicles_count(rng.bit_generator, self.low, self.high)
         options = dict(options or {})
         options["config"] = {**options.get("config", {}), "vehicles_count": number}
         return self.env.reset(seed=seed, options=options)

@@ -4,11 +4,12 @@ from typing import Any
 
 import gymnasium as gym
 
-from parking_exp.tasks.parking.highway_lot import places_of_scene
+from parking_exp.tasks.parking.highway_lot import obstacles_of_scene
+from parking_exp.tasks.reset_rng import reset_rng
 
 
 class RandomObstacles(gym.Wrapper, gym.utils.RecordConstructorArgs):
-    """Put obstacles on the lot of parking-v0 at each reset; see `places_of_scene`.
+    """Put obstacles on the lot of parking-v0 at each reset; see `obstacles_of_scene`.
 
     Args:
         env: highway-env's parking-v0. `NearbyVehicles` around this wrapper shows them.
@@ -26,8 +27,8 @@ class RandomObstacles(gym.Wrapper, gym.utils.RecordConstructorArgs):
         """Start an episode."""
         from highway_env.vehicle.objects import Obstacle
 
-        rng = self.unwrapped.np_random if seed is None else gym.utils.seeding.np_random(seed)[0]
-        places = places_of_scene(rng.bit_generator, self.obstacles)
+        rng = reset_rng(self, seed)
+        places = obstacles_of_scene(rng.bit_generator, self.obstacles)
         result = self.env.reset(seed=seed, options=options)
         road = self.unwrapped.road
         road.objects += [Obstacle(road, place) for place in places]

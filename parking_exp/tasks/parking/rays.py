@@ -4,8 +4,8 @@ import gymnasium as gym
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import Rectangles, direction_of, in_frame
-from parking_exp.tasks.parking.nearby_vehicles import SeenByCar
 from parking_exp.tasks.parking.parking_config import RAYS_RANGE_M
+from parking_exp.tasks.parking.sensor_wrapper import SensorWrapper
 
 _TINY = 1e-300  # in place of 0, which can't be divided by
 
@@ -52,7 +52,7 @@ def ray_distances(
     return distances
 
 
-class Rays(SeenByCar):
+class Rays(SensorWrapper):
     """Append distances along rays to `observation` of parking-v0; goals stay as they are.
 
     They are the distances from the car's centre to the nearest vehicle, wall or obstacle, as
@@ -71,10 +71,10 @@ class Rays(SeenByCar):
         self.rays = rays
         self.range_m = range_m
 
-    def seen(self) -> np.ndarray:
+    def measure(self) -> np.ndarray:
         """Return the distances along rays."""
         car = self.unwrapped.vehicle
-        others = self.others(walls=True)
+        others = self.find_others(walls=True)
         sizes = [(item.LENGTH, item.WIDTH) for item in others]
         rectangles = Rectangles(
             centre=np.reshape([item.position for item in others], (1, -1, 2)),
