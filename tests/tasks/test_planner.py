@@ -13,7 +13,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy, find_differences
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.planning import Planner
-from parking_exp.tasks.parking.planning.trajectory import REFERENCE, Pace, trajectory
+from parking_exp.tasks.parking.planning.trajectory import REFERENCE, Pace, make_trajectory
 from parking_exp.tasks.parking.scene_shapes import scene_shapes
 from parking_exp.tasks.registry import make_task
 
@@ -108,7 +108,7 @@ def test_without_a_path_the_car_stands_until_the_time_is_over():
 def test_a_trajectory_stops_where_the_direction_changes_and_at_the_end():
     x = np.concatenate([np.linspace(0, 4, 201), np.linspace(3.98, 1, 150)])
     path = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
-    rows = trajectory(path, Pace(step_s=0.2, speed_mps=2.5, acceleration_mps2=3))
+    rows = make_trajectory(path, Pace(step_s=0.2, speed_mps=2.5, acceleration_mps2=3))
     columns = dict(zip(REFERENCE, rows.T, strict=True))
     standing = columns["speed"] == 0
     assert columns["x"][standing].tolist() == pytest.approx([0, 4, 1])

@@ -193,7 +193,7 @@ def test_scenes_far_from_contact_are_driven_as_frame_by_frame(option):
     scenes = lot_of(config).random(rng, 300)
     fast = Simulator(config, scenes)
     careful = Simulator(config, scenes)
-    careful._uncertain = lambda *_: np.ones(300, bool)
+    careful._find_uncertain = lambda *_: np.ones(300, bool)
     for _ in range(40):
         actions = rng.uniform(-1, 1, (300, 2))
         fast.step(actions)

@@ -10,7 +10,7 @@ GAIN = 0.5  # share of an error along the path that is corrected in a step
 
 
 def follow(
-    poses: np.ndarray, references: np.ndarray, sharpest: float, dt: float, frames: int
+    poses: np.ndarray, references: np.ndarray, max_curvature: float, dt: float, frames: int
 ) -> np.ndarray:
     """Return acceleration [m/s2] and steering angle [rad] of cars, shape (n, 2).
 
@@ -20,7 +20,7 @@ def follow(
     Args:
         poses: x, y, vx, vy, cos_h and sin_h of the cars, shape (n, 6) [m, m/s].
         references: rows of their trajectories, shape (n, REFERENCE).
-        sharpest: the largest curvature that the rear axle can have [1/m].
+        max_curvature: the largest curvature that the rear axle can have [1/m].
         dt: length of a frame of the simulation [s].
         frames: the number of frames of a policy step.
     """
@@ -31,18 +31,20 @@ def follow(
     # heading, but a point before or behind it.
     rear = REAR_AXLE_M - speed * dt / 2
     ref_direction = direction_of(ref_heading)
-    behind = references.T[:2] - (position - rear * direction)
-    along, across = in_frame(behind, ref_direction)
-    cos_turned, sin_turned = in_frame(direction, ref_direction)
-    turned = np.arctan2(sin_turned, cos_turned)
+    position_error = references.T[:2] - (position - rear * direction)
+    along_error, across_error = in_frame(position_error, ref_direction)
+    cos_error, sin_error = in_frame(direction, ref_direction)
+    heading_error = np.arctan2(sin_error, cos_error)
 
-    curvature = curvature + across / SETTLING_M**2 - 2 * forward * turned / SETTLING_M
-    curvature = np.clip(curvature, -sharpest, sharpest)
+    across_feedback = across_error / SETTLING_M**2
+    heading_feedback = -2 * forward * heading_error / SETTLING_M
+    curvature = curvature + across_feedback + heading_feedback
+    curvature = np.clip(curvature, -max_curvature, max_curvature)
     steering = np.arctan(CAR_LENGTH_M * curvature)
 
     # The simulator's speed is that of the centre, which is farther from the centre of the turn.
-    longer = np.hypot(1.0, REAR_AXLE_M * curvature)
+    centre_speed_ratio = np.hypot(1.0, REAR_AXLE_M * curvature)
     step_s = dt * frames
-    target = next_speed * longer + GAIN * along / step_s
-    acceleration = (target - speed) / step_s
+    target_speed = next_speed * centre_speed_ratio + GAIN * along_error / step_s
+    acceleration = (target_speed - speed) / step_s
     return np.stack([acceleration, steering], axis=1)

@@ -18,7 +18,7 @@ SAMPLE_M = 0.02  # between the poses of a path
 def plan_path(
     start: np.ndarray,
     goal: np.ndarray,
-    space: FreeSpace,
+    free_space: FreeSpace,
     *,
     planner: str,
     radius_m: float,
@@ -29,7 +29,7 @@ def plan_path(
 
     Args:
         start, goal: poses, shape (3,) [m, m, rad].
-        space: the free space, in which the path lies.
+        free_space: in which the path lies.
         planner: the name of a class in `ompl.geometric`.
         radius_m: the smallest radius of the rear axle.
         time_limit_s: the largest CPU time.
@@ -47,107 +47,111 @@ def plan_path(
     # Random numbers of planners and samplers that are made after this line follow from the seed.
     util.RNG.setSeed(seed)
 
-    states = _states_of(space, radius_m)
-    problem = geometric.SimpleSetup(states)
-    information = problem.getSpaceInformation()
-    motions = _MotionValidator(information, states, space, is_over)
-    information.setMotionValidator(motions)
-    problem.setStateValidityChecker(lambda state: space.contains(_pose(state)[None]))
-    problem.setStartAndGoalStates(_state(states, start), _state(states, goal))
-    problem.setOptimizationObjective(_any_path(information))
-    problem.setPlanner(_solver(planner, information))
+    state_space = _make_state_space(free_space, radius_m)
+    setup = geometric.SimpleSetup(state_space)
+    space_information = setup.getSpaceInformation()
+    motions = _MotionValidator(space_information, state_space, free_space, is_over)
+    space_information.setMotionValidator(motions)
+    setup.setStateValidityChecker(lambda state: free_space.contains(_to_pose(state)[None]))
+    setup.setStartAndGoalStates(_to_state(state_space, start), _to_state(state_space, goal))
+    setup.setOptimizationObjective(_make_objective(space_information))
+    setup.setPlanner(_make_planner(planner, space_information))
 
     try:
-        problem.solve(base.PlannerTerminationCondition(is_over))
-        if not problem.haveExactSolutionPath():
+        setup.solve(base.PlannerTerminationCondition(is_over))
+        if not setup.haveExactSolutionPath():
             return start[None]
-        path = problem.getSolutionPath()
-        geometric.PathSimplifier(information).reduceVertices(path)
-        return _poses(states, path)
+        path = setup.getSolutionPath()
+        geometric.PathSimplifier(space_information).reduceVertices(path)
+        return _interpolate_path(state_space, path)
     finally:
-        # Our class would otherwise keep the problem in memory, and it keeps the class.
-        information.setMotionValidator(base.ReedsSheppMotionValidator(information))
+        # Our class would otherwise keep the setup in memory, and it keeps the class.
+        space_information.setMotionValidator(base.ReedsSheppMotionValidator(space_information))
 
 
-def _states_of(space: FreeSpace, radius_m: float) -> Any:
+def _make_state_space(free_space: FreeSpace, radius_m: float) -> Any:
     """Return the poses between the walls, joined by curves with a smallest radius."""
-    states = base.ReedsSheppStateSpace(radius_m)
+    state_space = base.ReedsSheppStateSpace(radius_m)
     bounds = base.RealVectorBounds(2)
-    for axis, half in enumerate(space.half_box[:, 0].tolist()):
+    for axis, half in enumerate(free_space.half_box[:, 0].tolist()):
         bounds.setLow(axis, -half)
         bounds.setHigh(axis, half)
-    states.setBounds(bounds)
-    return states
+    state_space.setBounds(bounds)
+    return state_space
 
 
-def _solver(planner: str, information: Any) -> Any:
+def _make_planner(name: str, space_information: Any) -> Any:
     """Return one of OMPL's planners; the branches of a tree are short."""
-    solver = getattr(geometric, planner)(information)
-    if hasattr(solver, "setRange"):
-        solver.setRange(RANGE_M)
-    return solver
+    planner = getattr(geometric, name)(space_information)
+    if hasattr(planner, "setRange"):
+        planner.setRange(RANGE_M)
+    return planner
 
 
 class _MotionValidator(base.MotionValidator):
     """Tests all poses of a motion at once."""
 
     def __init__(
-        self, information: Any, states: Any, space: FreeSpace, is_over: Callable[[], bool]
+        self,
+        space_information: Any,
+        state_space: Any,
+        free_space: FreeSpace,
+        is_over: Callable[[], bool],
     ) -> None:
-        super().__init__(information)
-        self._states = states
-        self._space = space
+        super().__init__(space_information)
+        self._state_space = state_space
+        self._free_space = free_space
         self._is_over = is_over
         self._previous = np.empty((2, 3))
 
     def checkMotion(self, first: Any, second: Any) -> bool:  # OMPL's name
         # RRTConnect connects its trees step by step, each from the nearest state. Rounding may make
         # OMPL's distances grow on the way; it would then repeat a step forever.
-        ends = np.stack([_pose(first), _pose(second)])
+        ends = np.stack([_to_pose(first), _to_pose(second)])
         is_repeated = np.array_equal(ends, self._previous)
         self._previous = ends
         if is_repeated or self._is_over():
             return False
-        return self._space.contains(_motion(self._states, first, second, CHECK_M))
+        return self._free_space.contains(_interpolate(self._state_space, first, second, CHECK_M))
 
 
-def _any_path(information: Any) -> Any:
+def _make_objective(space_information: Any) -> Any:
     """Return an objective that any path meets, so that all planners stop at their first."""
-    objective = base.PathLengthOptimizationObjective(information)
+    objective = base.PathLengthOptimizationObjective(space_information)
     objective.setCostThreshold(base.Cost(np.inf))
     return objective
 
 
-def _state(states: Any, pose: np.ndarray) -> Any:
-    state = states.allocState()
+def _to_state(state_space: Any, pose: np.ndarray) -> Any:
+    state = state_space.allocState()
     x, y, heading = pose.tolist()
     state.setXY(x, y)
     state.setYaw(heading)
-    states.enforceBounds(state)
+    state_space.enforceBounds(state)
     return state
 
 
-def _pose(state: Any) -> np.ndarray:
+def _to_pose(state: Any) -> np.ndarray:
     return np.array([state.getX(), state.getY(), state.getYaw()])
 
 
-def _motion(states: Any, first: Any, second: Any, step_m: float) -> np.ndarray:
+def _interpolate(state_space: Any, first: Any, second: Any, step_m: float) -> np.ndarray:
     """Return poses from one state to another, both included, shape (n, 3)."""
-    n = int(np.ceil(states.distance(first, second) / step_m)) + 1
-    between = states.allocState()
+    n = int(np.ceil(state_space.distance(first, second) / step_m)) + 1
+    between = state_space.allocState()
     poses = np.empty((n + 1, 3))
     for index, share in enumerate(np.linspace(0, 1, n + 1).tolist()):
-        states.interpolate(first, second, share, between)
-        poses[index] = _pose(between)
+        state_space.interpolate(first, second, share, between)
+        poses[index] = _to_pose(between)
     return poses
 
 
-def _poses(states: Any, path: Any) -> np.ndarray:
+def _interpolate_path(state_space: Any, path: Any) -> np.ndarray:
     """Return the poses of a path."""
     corners = path.getStates()
-    motions = [_pose(corners[0])[None]]
+    motions = [_to_pose(corners[0])[None]]
     for first, second in pairwise(corners):
-        motions.append(_motion(states, first, second, SAMPLE_M)[1:])
+        motions.append(_interpolate(state_space, first, second, SAMPLE_M)[1:])
     poses = np.concatenate(motions)
     poses[:, 2] = np.unwrap(poses[:, 2])
     return poses

@@ -16,7 +16,7 @@ from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import RANGES, ParkingConfig
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.planning.controller import follow
-from parking_exp.tasks.parking.planning.trajectory import Pace, trajectory
+from parking_exp.tasks.parking.planning.trajectory import Pace, make_trajectory
 from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation
@@ -69,7 +69,7 @@ class Planner(ScriptedPolicy):
         self._frames = config.simulation_frequency // config.policy_frequency
         self._low, self._high = np.transpose(config.action.ranges)
         limit = config.action.limit
-        self._sharpest = np.tan(limit("steering_range")) / CAR_LENGTH_M
+        self._max_curvature = np.tan(limit("steering_range")) / CAR_LENGTH_M
         self._pace = Pace(
             step_s=self._dt * self._frames,
             speed_mps=min(SPEED_MPS, EASE * limit("speed_range")),
@@ -112,7 +112,7 @@ class Planner(ScriptedPolicy):
             rows.append(plan.trajectory[min(self._step, last)])
         self._step += 1
         poses = observation["achieved_goal"] * SCALES
-        asked = follow(poses, np.array(rows), self._sharpest, self._dt, self._frames)
+        asked = follow(poses, np.array(rows), self._max_curvature, self._dt, self._frames)
         actions = 2 * (asked - self._low) / (self._high - self._low) - 1
         return np.clip(actions, -1, 1)
 
@@ -127,8 +127,8 @@ class Planner(ScriptedPolicy):
     def plan(self, seed: int) -> Plan:
         """Plan for a scene, that of `env.reset(seed=seed)`."""
         began = time.perf_counter()
-        plan = trajectory(self.find_path(seed), self._pace)
-        return Plan(plan, time.perf_counter() - began)
+        trajectory = make_trajectory(self.find_path(seed), self._pace)
+        return Plan(trajectory, time.perf_counter() - began)
 
     def find_path(self, seed: int) -> np.ndarray:
         """Return the path of a scene: poses of the rear axle, shape (n, 3) [m, m, rad]; the start
@@ -138,15 +138,15 @@ class Planner(ScriptedPolicy):
 
         config = self.task.config
         scenes = lot_of(config).from_seeds([seed])
-        space = FreeSpace(scenes, walls=config.add_walls, margin_m=self._margin_m)
+        free_space = FreeSpace(scenes, walls=config.add_walls, margin_m=self._margin_m)
         # The numbers of a scene do not depend on the scenes before it.
         (path_seed,) = np.random.SeedSequence([self.seed, seed]).generate_state(1).tolist()
         return plan_path(
             moved_ahead(scenes.start[0], -REAR_AXLE_M),
             moved_ahead(scenes.goal_pose[0], -REAR_AXLE_M),
-            space,
+            free_space,
             planner=self._planner,
-            radius_m=RESERVE / self._sharpest,
+            radius_m=RESERVE / self._max_curvature,
             time_limit_s=self._time_limit_s,
             seed=max(path_seed, 1),
         )

@@ -24,7 +24,7 @@ class Pace:
     acceleration_mps2: float
 
 
-def trajectory(path: np.ndarray, pace: Pace) -> np.ndarray:
+def make_trajectory(path: np.ndarray, pace: Pace) -> np.ndarray:
     """Return what the rear axle should do on a path at each policy step, shape (steps, REFERENCE).
 
     The car stops where the path changes its direction, and at its end.

@@ -37,13 +37,13 @@ from parking_exp.tasks.parking.simulator.dynamics import (
     slip_angle,
 )
 from parking_exp.tasks.parking.simulator.scene_state import MOVING, SCALES, SceneState
-from parking_exp.tasks.task import Step
+from parking_exp.tasks.task import EvaluationBatch, Step
 
 HALF_CAR_M = np.array([[CAR_LENGTH_M / 2], [CAR_WIDTH_M / 2]])
 
 
-class Simulator:
-    """n independent scenes of an env variant, simulated together; none is ever reset by itself."""
+class Simulator(EvaluationBatch):
+    """n independent scenes of an env variant, simulated together, without autoreset."""
 
     state: SceneState
 
@@ -143,7 +143,7 @@ class Simulator:
             self._drive_by_frames(part, acceleration[rows], steering[rows])
             state.put(rows, part, MOVING)
         state.steps += 1
-        return self._outcome()
+        return self._make_step()
 
     def ending(self, row: int) -> PoseInSlot:
         """Return the pose of a car relative to its goal."""
@@ -207,9 +207,9 @@ class Simulator:
         state.heading = heading
         state.speed = speed
         state.direction = direction_of(heading)
-        return np.flatnonzero(self._uncertain(slowest, fastest, farthest, sin_slip))
+        return np.flatnonzero(self._find_uncertain(slowest, fastest, farthest, sin_slip))
 
-    def _uncertain(
+    def _find_uncertain(
         self, slowest: np.ndarray, fastest: np.ndarray, farthest: np.ndarray, sin_slip: np.ndarray
     ) -> np.ndarray:
         """Return a mask of the scenes in which a car may have been too fast or touched something.
@@ -224,18 +224,18 @@ class Simulator:
         uncertain = state.crashed | state.hit[:, 0]
         uncertain |= slowest < low
         uncertain |= fastest > high
-        ahead = np.maximum(fastest, -slowest) * self.dt
+        frame_travel = np.maximum(fastest, -slowest) * self.dt
         # Before the end of the step, the car was turned by at most this [rad], and its corners were
         # away by at most `swing` for it.
-        turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
+        turn = np.abs(sin_slip) * frame_travel * (self.frames / (CAR_LENGTH_M / 2))
         swing = turn * (CAR_DIAGONAL_M / 2)
         if self.walls:
-            near = farthest + extent(state.direction) + (ahead + swing) > state.free
+            near = farthest + extent(state.direction) + (frame_travel + swing) > state.free
             uncertain |= near[0]
             uncertain |= near[1]
         # From the end of the first frame to where the car would be a frame after the last, it goes
         # this far; its course differs from its heading in the end by the turn and the slip.
-        motion = ahead * self.frames
+        motion = frame_travel * self.frames
         if state.vehicles.shape[1]:
             swept = np.array([motion, motion * (turn + np.abs(sin_slip))])
             swept += swing + HALF_CAR_M
@@ -281,7 +281,9 @@ class Simulator:
         fixtures = self._fixtures or self._collisions.fixtures(state)
         for _ in range(self.frames):
             if state.crashed.any():
-                slip[state.crashed] = sin_slip[state.crashed] = 0.0  # no steering, and full brakes
+                # No steering, and full brakes.
+                slip[state.crashed] = 0.0
+                sin_slip[state.crashed] = 0.0
                 acceleration = np.where(state.crashed, -state.speed, acceleration)
             if limited:
                 acceleration = limited_acceleration(acceleration, state.speed, self.speed_range)
@@ -314,7 +316,7 @@ class Simulator:
         features /= SCALES[:, None]
         return np.ascontiguousarray(features.T)
 
-    def _outcome(self) -> Step:
+    def _make_step(self) -> Step:
         state = self.state
         observation = self.observe()
         reward, success = self.reward(
