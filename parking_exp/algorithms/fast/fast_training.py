@@ -73,7 +73,8 @@ class FastTraining:
         return optimizers
 
     def _excluded_save_params(self: Any) -> list[str]:
-        return [*super()._excluded_save_params(), "_update", "_flat_addresses"]  # type: ignore[misc]
+        excluded = super()._excluded_save_params()  # type: ignore[misc]
+        return [*excluded, "_update", "_flat_addresses"]
 
 
 def is_supported(model: Any) -> bool:
