@@ -56,6 +56,7 @@ PUBLIC_PATHS = (
     "parking_exp.sweeps.supervisor.supervise_job",
     "parking_exp.report_section.Column",
     "parking_exp.report_section.Section",
+    "parking_exp.report_section.SectionFigure",
     "parking_exp.report_section.Table",
     "parking_exp.training.trackers.Tracker",
 )

@@ -2,7 +2,7 @@
 
 A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are not
 separate factors. Keys that always change together count once. A `label` in the configs takes the
-place of all keys that it determines.
+place of all keys that it determines. Keys that stored configs leave out have their defaults.
 """
 
 from collections.abc import Collection, Mapping, Sequence

@@ -142,12 +142,12 @@ class _Composer:
 
     def compose(self, overrides: Point) -> ComposedRun:
         """Compose a cell, and check its level."""
-        run = self._compose(overrides)
+        run = self._merge(overrides)
         if any(override.lstrip("+").startswith("env.level=") for override in overrides):
             _check_level(run.cell_config.env)
         return run
 
-    def _compose(self, overrides: Point) -> ComposedRun:
+    def _merge(self, overrides: Point) -> ComposedRun:
         """Compose a cell: its options by Hydra, and the other changes on top of them."""
         options = [override for override in overrides if self._is_option(override)]
         values = {}
@@ -162,7 +162,7 @@ class _Composer:
         return override.partition("=")[0] in self._groups and "={" not in override
 
     def _compose_by_hydra(self, overrides: Point) -> ComposedRun:
-        """Compose overrides by Hydra, each choice once."""
+        """Compose overrides by Hydra; cached, since it takes 0.1 to 0.3 s."""
         if overrides not in self._composed:
             self._composed[overrides] = self._call_hydra([*self._hydra_overrides, *overrides])
         return self._composed[overrides]
@@ -177,10 +177,11 @@ class _Composer:
         if self._hydra_overrides or any("/" in override for override in overrides):
             plain = hydra.compose(self._config_name, return_hydra_config=True)
             check_hydra_settings(self._config_name, config.hydra, plain.hydra)
-        options = {}
-        for group, option in config.hydra.runtime.choices.items():
-            options[str(group)] = option
-        launcher = options["hydra/launcher"]
+        choices = {str(group): option for group, option in config.hydra.runtime.choices.items()}
+        options = {
+            group: option for group, option in choices.items() if not group.startswith("hydra")
+        }
+        launcher = choices["hydra/launcher"]
         settings = cast(dict[str, Any], OmegaConf.to_container(config.hydra.launcher, resolve=True))
         with open_dict(config):
             del config["hydra"]

@@ -1,7 +1,4 @@
-"""Settings: configs as flat dotted keys, their values as text, the keys that can change a result.
-
-Keys that stored configs leave out have their defaults.
-"""
+"""Settings: configs as flat dotted keys, their values as text, keys that can change a result."""
 
 import json
 from collections.abc import Hashable, Mapping, Sequence

@@ -83,8 +83,8 @@ class Agent:
     def load_into(self, model: "OffPolicyAlgorithm", *, networks_only: bool = False) -> None:
         """Load this agent's weights into a model.
 
-        A run's file has all weights, a policy file those of actor and critics, and a file of plain
-        Stable-Baselines3 the actor's alone.
+        All weights of a run's file are taken, those of actor and critics of a policy file, and
+        those of the actor alone of a file of plain Stable-Baselines3.
 
         Args:
             model: the model, with the same networks.

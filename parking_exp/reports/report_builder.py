@@ -9,7 +9,7 @@ from typing import NamedTuple
 from parking_exp import __version__
 from parking_exp.config.cell_labels import Factor
 from parking_exp.errors import RunNotFoundError
-from parking_exp.phrases import plural
+from parking_exp.phrases import list_names, plural
 from parking_exp.reports import cell_selection, report_warnings
 from parking_exp.reports.cell_comparisons import choose_family, compare_levels, compare_pairs
 from parking_exp.reports.cell_selection import CellRuns
@@ -145,7 +145,7 @@ def _warn_of_untested(untested: Sequence[str], n_tested: int) -> str:
     return (
         f"{len(untested)} of {n_tested + len(untested)} contrasts lack a selected cell with "
         "finished runs, and p is corrected for the others only: "
-        f"{report_warnings.list_names(untested)}."
+        f"{list_names(untested)}."
     )
 
 
@@ -187,6 +187,5 @@ def _write_notes(report: ReportData) -> Iterator[str]:
     outside = [cell.label for cell in cells if None in cell.settings.values()]
     if report.effects and outside:
         yield (
-            "Not part of the main effects, without a value of every factor: "
-            f"{report_warnings.list_names(outside)}."
+            f"Not part of the main effects, without a value of every factor: {list_names(outside)}."
         )

@@ -38,7 +38,7 @@ def compare(
 
     Args:
         pairs: of each comparison, the cells of both sides.
-        alpha: the level of the whole family is 1 - alpha.
+        alpha: the intervals of the family hold together at the level 1 - alpha.
         n_pairs: the number of pairs of a larger family; 0: that of the pairs that have a p.
     """
     p_values = [_test(a, b) for a, b in pairs]

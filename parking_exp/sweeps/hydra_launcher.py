@@ -124,7 +124,7 @@ class PluginLauncher:
 
 
 def _supervise_task(config: DictConfig) -> None:
-    """Train the run of a directory; Hydra's task function."""
+    """Supervise the run of a directory; Hydra's task function."""
     supervise_job(Path(config.run))
 
 

@@ -40,10 +40,10 @@ def work(path: Path, cores: Sequence[int], environment: Mapping[str, str]) -> No
     os.environ.update(environment)
     if cores and hasattr(os, "sched_setaffinity"):  # not on every system
         os.sched_setaffinity(0, cores)
-    sys.exit(_train_to_exit_status(RunDirectory(path), len(cores)))
+    sys.exit(_train(RunDirectory(path), len(cores)))
 
 
-def _train_to_exit_status(directory: RunDirectory, n_threads: int) -> int:
+def _train(directory: RunDirectory, n_threads: int) -> int:
     """Train a run, and return the exit status of its process."""
     try:
         config = directory.config()

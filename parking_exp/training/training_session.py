@@ -94,11 +94,11 @@ class TrainingSession(RunSession):
         self.bar.show_activity("demonstrations")
         before_s = time.process_time()
         n_episodes = self.config.buffer.demonstrations
-        recording = demonstrations.add_demonstrations(
+        stats = demonstrations.add_demonstrations(
             self.config, self.model, self.progress_of(n_episodes)
         )
-        self._cpu_start += time.process_time() - before_s - recording.cpu_s
-        self.bar.say(f"demonstrations: {recording.n_successes} of {n_episodes} reach the goal")
+        self._cpu_start += time.process_time() - before_s - stats.cpu_s
+        self.bar.say(f"demonstrations: {stats.n_successes} of {n_episodes} reach the goal")
 
     @property
     def step(self) -> int:

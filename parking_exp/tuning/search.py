@@ -100,7 +100,7 @@ class Search:
             ConfigError: with a sentence for each of the first five things that are wrong.
         """
         space = self.request.search.space
-        self.config({})  # an error of the base config is reported once, not for each value
+        _ = self.base  # an error of the base config is reported once, not for each value
         problems = []
         for key, dimension in space.items():
             for changes in self._options_for(key):

@@ -17,7 +17,7 @@ from support import report_factory
 
 from parking_exp.figure_style import cell_style, report_style, wrapped_labels
 from parking_exp.reports.figures import cell_figures, comparison_figures
-from parking_exp.reports.sections import SECTIONS, draw
+from parking_exp.reports.sections import SECTIONS, draw_figures
 from parking_exp.reports.tables import report_tables
 from parking_exp.tasks.parking import lot_figures
 
@@ -42,7 +42,7 @@ def three():
 def drawn(three, tmp_path_factory):
     """The folder of its figures' files, and the figures by name."""
     folder = tmp_path_factory.mktemp("three") / "figures"
-    return folder, {figure.name: figure for figure in draw(three, folder)}
+    return folder, {figure.name: figure for figure in draw_figures(three, folder)}
 
 
 def axes_of(draw_figure, report):
@@ -84,7 +84,7 @@ def test_every_figure_is_written_in_every_format(drawn):
 def test_the_same_report_gives_the_same_bytes_whatever_the_users_settings(three, drawn, tmp_path):
     with matplotlib.rc_context({"font.size": 20, "lines.linewidth": 9, "axes.facecolor": "red"}):
         before = dict(matplotlib.rcParams)
-        draw(three, tmp_path)
+        draw_figures(three, tmp_path)
         assert dict(matplotlib.rcParams) == before
     for path in drawn[0].iterdir():
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
@@ -221,24 +221,22 @@ def test_a_lot_without_walls_has_none_in_figures(three):
     ids=["one seed", "all succeed", "failed cell", "many cells"],
 )
 def test_unusual_contents_are_drawn_without_a_warning(example, tmp_path):
-    assert (
-        draw(example(), tmp_path, [], sections("results", "curves", "time", "pairs"))[0].name
-        == "final_success"
-    )
+    wanted = sections("results", "curves", "time", "pairs")
+    assert draw_figures(example(), tmp_path, [], wanted)[0].name == "final_success"
 
 
 def test_nothing_to_draw_gives_no_figure(tmp_path):
     failed = report_factory.with_failed_cell().cells[2]
     empty = replace(report_factory.report(1, 1), cells=[failed], shown=[failed.id], pairs=())
-    assert draw(empty, tmp_path) == []
-    assert draw(replace(empty, cells=[], shown=[]), tmp_path) == []
+    assert draw_figures(empty, tmp_path) == []
+    assert draw_figures(replace(empty, cells=[], shown=[]), tmp_path) == []
     assert list(tmp_path.iterdir()) == []
 
 
 def test_labels_are_written_as_they_are_and_do_nothing(tmp_path):
     hostile = "a\x00b\x1b[31m\u202eevil \ud800 <script>alert(1)</script>"
     labels = [r"$\frac{x}{0} a_b^c \n", "Größe α 学習", hostile, *report_factory.HOSTILE[1:3]]  # noqa: RUF001
-    (figure,) = draw(
+    (figure,) = draw_figures(
         report_factory.report(5, 2, labels=labels), tmp_path, ["png"], sections("results")
     )
     elements = [*ET.fromstring(figure.svg).iter()]

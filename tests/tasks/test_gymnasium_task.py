@@ -19,8 +19,8 @@ from support.vec_env_equality import step_alike
 
 from parking_exp.config.compose import compose, compose_configs
 from parking_exp.errors import VideoError
-from parking_exp.evaluation import evaluate_run
 from parking_exp.evaluation.evaluate_policy import evaluate_policy
+from parking_exp.evaluation.evaluation_request import validate_evaluation
 from parking_exp.tasks import gymnasium_task
 from parking_exp.tasks.environment_checks import resumes_exactly
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
@@ -246,7 +246,7 @@ def test_any_goal_task_can_be_searched(tmp_path):
 @pytest.mark.parametrize("option", options("env"))
 def test_evaluate_takes_every_env(option):
     lines = [f"env={option}", *(["env.id=FetchReach-v4"] if option == "gymnasium" else [])]
-    request = evaluate_run.validate_evaluation(compose_configs("evaluate", lines)[0])
+    request = validate_evaluation(compose_configs("evaluate", lines)[0])
     assert request.env["name"] == option
 
 

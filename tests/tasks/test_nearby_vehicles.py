@@ -20,7 +20,7 @@ from parking_exp.tasks.parking.features import (
     FineEgoFrameExtractor,
 )
 from parking_exp.tasks.parking.highway import make_parking_env
-from parking_exp.tasks.parking.highway_lot import HighwayLot, sampled_places
+from parking_exp.tasks.parking.highway_lot import HighwayLot, sample_places
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
@@ -45,7 +45,7 @@ def test_obstacles_are_random_places_in_the_aisle_by_the_documented_rule():
     scenes = lot.from_seeds(range(50))
     for seed, places in enumerate(scenes.obstacles):
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)).jumped(2))
-        np.testing.assert_array_equal(places, sampled_places(rng, 4))
+        np.testing.assert_array_equal(places, sample_places(rng, 4))
     drawn = lot.random(np.random.default_rng(0), 5_000).obstacles.reshape(-1, 2)
     for places in (scenes.obstacles.reshape(-1, 2), drawn):
         assert (np.linalg.norm(places, axis=1) > 6).all()

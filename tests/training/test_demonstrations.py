@@ -44,11 +44,11 @@ def configured(output_dir, *overrides):
 
 
 def demonstrated(config, on_progress=None):
-    """The model of a config with its demonstrations, and what is known of them."""
+    """The model of a config with its demonstrations, and their stats."""
     model = model_of(config)
     demonstrations.attach_demonstration_buffer(config, make_task(config.env), model)
-    recording = demonstrations.add_demonstrations(config, model, on_progress or (lambda _: None))
-    return model, recording
+    stats = demonstrations.add_demonstrations(config, model, on_progress or (lambda _: None))
+    return model, stats
 
 
 def demonstrations_of(config):
@@ -127,10 +127,10 @@ def walked(output_dir, *overrides):
 
 
 def test_a_users_policy_demonstrates_a_users_task_in_the_buffers_unit_of_actions(tmp_path):
-    model, recording = demonstrated(walked(tmp_path))
+    model, stats = demonstrated(walked(tmp_path))
     buffer = model.replay_buffer.demonstrations
     n_steps = buffer.episodes.steps
-    assert recording.n_successes == 4
+    assert stats.n_successes == 4
     # From 0, 1, 2 and 3 to 3, in a task whose actions go up to 2.
     assert buffer.episodes.table["length"][:4].tolist() == [3, 2, 1, 1]
     rows = buffer.storage.data[:n_steps, 0]
@@ -140,8 +140,8 @@ def test_a_users_policy_demonstrates_a_users_task_in_the_buffers_unit_of_actions
 
 def test_a_policy_that_fails_demonstrates_all_the_same(tmp_path):
     lazy = walked(tmp_path, "+buffer.demonstrator.stride=0.5", "buffer.demonstrations=8")
-    _, recording = demonstrated(lazy)
-    assert recording.n_successes == 6  # with 5 steps of a half, 3 is out of reach from 0
+    _, stats = demonstrated(lazy)
+    assert stats.n_successes == 6  # with 5 steps of a half, 3 is out of reach from 0
 
 
 def test_timeouts_are_stored_as_the_buffer_has_them(tmp_path):

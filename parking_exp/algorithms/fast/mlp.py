@@ -100,7 +100,7 @@ def _linear(
 
 
 def _multiply(gradient: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """Return the gradient by a layer's input."""
+    """Multiply a gradient by a weight: the gradient by a layer's input, shape (batch, inputs)."""
     if _uses_onednn(weight):
         return _onednn(gradient, weight.t())
     return gradient @ weight

@@ -66,28 +66,28 @@ class HighwayLot:
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:
         """Return the scenes of `env.reset(seed=s)` of highway-env, bit for bit."""
         heading = np.empty(len(seeds))
-        number = np.empty(len(seeds), np.int64)
+        n_cars = np.empty(len(seeds), np.int64)
         slots = np.zeros((len(seeds), 1 + self.vehicles_range[1]), np.int64)
         obstacles = np.empty((len(seeds), self.n_obstacles, 2))
         for row, seed in enumerate(seeds):
             rng = scene_rng(seed)
-            number[row] = sample_vehicles_count(rng.bit_generator, *self.vehicles_range)
+            n_cars[row] = sample_vehicles_count(rng.bit_generator, *self.vehicles_range)
             if self.n_obstacles:
                 obstacles[row] = obstacles_of_scene(rng.bit_generator, self.n_obstacles)
             heading[row] = 2.0 * np.pi * rng.uniform()
-            # As highway-env's `Generator.choice` draws them.
-            draws = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + number[row])]
+            # highway-env calls `Generator.choice`, which draws as `integers` does.
+            draws = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + n_cars[row])]
             slots[row, : len(draws)] = draws
-        return _from_draws(heading, slots, number, obstacles)
+        return _from_draws(heading, slots, n_cars, obstacles)
 
     def random(self, rng: np.random.Generator, n: int) -> Scenes:
         """Sample scenes of the same distribution, many at once."""
         low, high = self.vehicles_range
         heading = 2.0 * np.pi * rng.uniform(size=n)
         slots = rng.integers(N_SLOTS - 1 - np.arange(1 + high), size=(n, 1 + high))
-        number = rng.integers(low, high + 1, n) if low < high else np.full(n, high)
-        obstacles = sampled_places(rng, n * self.n_obstacles).reshape(n, self.n_obstacles, 2)
-        return _from_draws(heading, slots, number, obstacles)
+        n_cars = rng.integers(low, high + 1, n) if low < high else np.full(n, high)
+        obstacles = sample_places(rng, n * self.n_obstacles).reshape(n, self.n_obstacles, 2)
+        return _from_draws(heading, slots, n_cars, obstacles)
 
     def typical(self) -> Scenes:
         """Return one scene, for drawings of the lot."""
@@ -95,14 +95,14 @@ class HighwayLot:
 
 
 def _from_draws(
-    heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray
+    heading: np.ndarray, draws: np.ndarray, n_cars: np.ndarray, obstacles: np.ndarray
 ) -> Scenes:
     """Return the scenes of drawn numbers.
 
     Args:
         heading: headings of the car at the start, shape (n,) [rad].
         draws: numbers of slots among those still free, the goal's first, shape (n, 1 + vehicles).
-        number: how many of the parked cars each scene has, shape (n,).
+        n_cars: how many of the parked cars each scene has, shape (n,).
         obstacles: places of obstacles, shape (n, obstacles, 2) [m].
     """
     taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
@@ -113,7 +113,7 @@ def _from_draws(
             slot += slot >= occupied
         taken[:, column + 1] = slot
     vehicles = taken[:, 2:]
-    vehicles[np.arange(vehicles.shape[1]) >= number[:, None]] = NO_SLOT
+    vehicles[np.arange(vehicles.shape[1]) >= n_cars[:, None]] = NO_SLOT
     n = len(heading)
     start = np.zeros((n, 3))
     start[:, 2] = heading
@@ -153,7 +153,7 @@ def sample_vehicles_count(bit_generator: Any, low: int, high: int) -> int:
     return int(np.random.Generator(bit_generator.jumped()).integers(low, high + 1))
 
 
-def sampled_places(rng: np.random.Generator, n: int) -> np.ndarray:
+def sample_places(rng: np.random.Generator, n: int) -> np.ndarray:
     """Sample n obstacles' places, shape (n, 2) [m], uniform in the aisle but not at the start."""
     places = np.empty((0, 2))
     while len(places) < n:
@@ -167,6 +167,6 @@ def obstacles_of_scene(bit_generator: Any, n: int) -> np.ndarray:
     """Return the places of a scene's obstacles, without using up its random generator.
 
     They are sampled by that generator, jumped twice: `env.reset(seed=s)` has
-    `sampled_places(Generator(PCG64(SeedSequence(s)).jumped(2)), n)`.
+    `sample_places(Generator(PCG64(SeedSequence(s)).jumped(2)), n)`.
     """
-    return sampled_places(np.random.Generator(bit_generator.jumped(2)), n)
+    return sample_places(np.random.Generator(bit_generator.jumped(2)), n)

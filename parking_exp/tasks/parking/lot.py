@@ -219,14 +219,12 @@ def lot_of(config: ParkingConfig) -> Lot:
     """Return the lot of an `env` group, or its lots in one."""
     lots = config.lot_configs.values()
     if lots:
-        return make_lot_of_sections(lots, config.vehicles_count)
+        return make_lot(lots, config.vehicles_count)
     return HighwayLot(config.vehicles_range, config.obstacles)
 
 
-def make_lot_of_sections(
-    configs: Iterable[LotConfig], vehicles_count: Any
-) -> ParametricLot | SeveralLots:
-    """Return the lot of one section, or several in one; `vehicles_count` is that of the env."""
+def make_lot(configs: Iterable[LotConfig], vehicles_count: Any) -> ParametricLot | SeveralLots:
+    """Return the lot of one config, or one lot of several; `vehicles_count` is the env's."""
     lots = [ParametricLot(config, config.vehicles_range(vehicles_count)) for config in configs]
     if len(lots) == 1:
         return lots[0]

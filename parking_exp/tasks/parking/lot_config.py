@@ -89,7 +89,8 @@ class StartsConfig(ConfigModel):
 class LotDimensions:
     """The dimensions that n scenes sample of their lot, each of shape (n,) [m, degrees].
 
-    They have the names of their keys, and the order in which they are sampled.
+    They have the names of their keys, and the order in which they are sampled. The docs call them
+    the numbers of a lot.
     """
 
     slot_length_m: np.ndarray

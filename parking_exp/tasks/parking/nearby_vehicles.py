@@ -88,7 +88,7 @@ class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         rng = reset_rng(self, seed)
-        number = sample_vehicles_count(rng.bit_generator, self.low, self.high)
+        vehicles_count = sample_vehicles_count(rng.bit_generator, self.low, self.high)
         options = dict(options or {})
-        options["config"] = {**options.get("config", {}), "vehicles_count": number}
+        options["config"] = {**options.get("config", {}), "vehicles_count": vehicles_count}
         return self.env.reset(seed=seed, options=options)

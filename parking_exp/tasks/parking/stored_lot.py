@@ -8,7 +8,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from parking_exp.tasks.parking.highway_lot import HighwayLot
-from parking_exp.tasks.parking.lot import Lot, make_lot_of_sections
+from parking_exp.tasks.parking.lot import Lot, make_lot
 from parking_exp.tasks.parking.lot_config import LotConfig, bounds
 
 
@@ -26,7 +26,7 @@ def stored_lot(config: Mapping[str, Any]) -> Lot:
     else:
         return HighwayLot(bounds(env["vehicles_count"]), n_obstacles=0)
     lots = [LotConfig.model_validate(section) for section in sections]
-    return make_lot_of_sections(lots, env["vehicles_count"])
+    return make_lot(lots, env["vehicles_count"])
 
 
 def _parsed(value: Any) -> Any:

@@ -112,8 +112,8 @@ class Planner(ScriptedPolicy):
             rows.append(plan.trajectory[min(self._step, last)])
         self._step += 1
         poses = observation["achieved_goal"] * SCALES
-        asked = follow(poses, np.array(rows), self._max_curvature, self._dt, self._frames)
-        actions = 2 * (asked - self._low) / (self._high - self._low) - 1
+        controls = follow(poses, np.array(rows), self._max_curvature, self._dt, self._frames)
+        actions = 2 * (controls - self._low) / (self._high - self._low) - 1
         return np.clip(actions, -1, 1)
 
     def keep(self, rows: np.ndarray) -> None:
