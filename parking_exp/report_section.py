@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 CaptionedFigure = tuple["Figure", str]
 """A figure and its caption."""
+
 Row = Mapping[str, Any]
 """Heading in CSV -> value."""
 

@@ -131,7 +131,7 @@ def _record_end(
 
 
 def _describe_exit(directory: RunDirectory, code: int) -> str:
-    """Say why a worker has exited that recorded no end of its run."""
+    """Say why a worker that recorded no end of its run has exited."""
     if code == -signal.SIGKILL:
         return "killed by SIGKILL (out of memory?)"
     if code < 0:
