@@ -12,7 +12,6 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 from parking_exp.buffers.episode_index import NO_EPISODE
 from parking_exp.buffers.storage import Storage, Transitions
-from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config_model import (
     GoalStrategy,
     GoalVelocity,
@@ -40,8 +39,9 @@ class HerBuffer(DictReplayBuffer):
         n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every
             batch. Those that the options below allow no virtual goal keep their own, and count as
             real.
-        goal_selection_strategy: `future`, `final`, `episode`, `random` (any goal achieved so far),
-            or None: no virtual transitions, and transitions of episodes under way are sampled too.
+        goal_selection_strategy: where virtual goals come from: `future` (the rest of the episode),
+            `final` (its end), `episode` (anywhere in it), `random` (all stored transitions), or
+            None: no virtual transitions, and transitions of episodes under way are sampled too.
         relabel_collision: the penalty of a failure (parking: a collision) with a virtual goal.
             `keep`: it is added. `sb3`: it is not, since `compute_reward` knows none. `exclude`:
             transitions at which the episode fails are neither relabelled nor used as goals.
@@ -176,6 +176,7 @@ class HerBuffer(DictReplayBuffer):
     def select_goals(self, index: np.ndarray, record: np.ndarray) -> np.ndarray:
         """Return the indices of the transitions whose next achieved goals become virtual goals.
 
+        The strategies are those of Andrychowicz et al. 2017, section 4.5 (arXiv:1707.01495).
         A subclass may override this with its own strategy, which should sample from `self.rng`:
         checkpoints save it.
 
@@ -184,9 +185,20 @@ class HerBuffer(DictReplayBuffer):
             record: their episodes: `start`, the row of the first transition, and `length`, shape
                 (n,).
         """
-        assert self.goal_selection_strategy is not None
-        select = STRATEGIES[self.goal_selection_strategy]
-        return select(self.rng, self.episodes, index, record)
+        if self.goal_selection_strategy == "random":
+            return self.episodes.sample_stored(self.rng, len(index))
+
+        row, env = np.divmod(index, self.n_envs)
+        length = record["length"].astype(np.int64)
+        if self.goal_selection_strategy == "final":
+            position = length - 1
+        elif self.goal_selection_strategy == "future":
+            # As in Stable-Baselines3, the transition itself is included.
+            passed = (row - record["start"]) % self.episodes.capacity
+            position = self.rng.integers(passed, length)
+        else:
+            position = self.rng.integers(length)
+        return self.episodes.index(record["start"] + position, env)
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return the whole state as arrays, uncopied."""

@@ -13,7 +13,6 @@ from support.marks import slow_but
 
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.her import NO_GOALS
-from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
@@ -132,7 +131,8 @@ def test_given_the_same_indices_batches_are_stable_baselines3s(n_envs, steps):
     ours, theirs = pair(100, n_envs, steps)
     rng = np.random.default_rng(1)
     index = rng.choice(drawable(ours), 64)
-    goal_index = STRATEGIES["future"](rng, ours.episodes, index, records_of(ours, index))
+    ours.rng = rng
+    goal_index = ours.select_goals(index, records_of(ours, index))
     assert_same_batches(ours, theirs, index, goal_index)
     mixed = batch_of(ours, index, goal_index[13:])
     real = batch_of(ours, index)
