@@ -29,9 +29,16 @@ def get_state(model: OffPolicyAlgorithm) -> dict[str, Any]:
     sde = _sde(model)
     if sde is not None:
         matrices = {name: getattr(sde, name).detach().cpu().numpy() for name in MATRICES}
+    accelerator = None
+    if model.device.type == "cuda":
+        accelerator = torch.cuda.get_rng_state(model.device).numpy()
     return {
         "envs": training_envs.get_state(model.env),
-        "rng": _random_states(model),
+        "python": random.getstate(),
+        "numpy": np.random.get_state(legacy=False),
+        "torch": torch.get_rng_state().numpy(),
+        "accelerator": accelerator,
+        "action_space": model.action_space.np_random.bit_generator.state,
         "noise": [_noise_state(noise) for noise in _noises(model.action_noise)],
         "sde": matrices,
         "metrics": {name: dict(getattr(model.logger, name)) for name in PENDING},
@@ -54,26 +61,10 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
         pending = getattr(model.logger, name)
         pending.clear()
         pending.update(state["metrics"][name])
-    _set_random_states(model, state["rng"])  # last, since the code above may sample from them
 
-
-def _random_states(model: OffPolicyAlgorithm) -> dict[str, Any]:
-    version, numbers, gauss = random.getstate()
-    accelerator = None
-    if model.device.type == "cuda":
-        accelerator = torch.cuda.get_rng_state(model.device).numpy()
-    return {
-        "python": {"version": version, "numbers": np.array(numbers, np.uint32), "gauss": gauss},
-        "numpy": np.random.get_state(legacy=False),
-        "torch": torch.get_rng_state().numpy(),
-        "accelerator": accelerator,
-        "action_space": model.action_space.np_random.bit_generator.state,
-    }
-
-
-def _set_random_states(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
-    python = state["python"]
-    random.setstate((python["version"], tuple(python["numbers"].tolist()), python["gauss"]))
+    # Last, since the code above may sample from them.
+    version, numbers, gauss = state["python"]
+    random.setstate((version, tuple(numbers), gauss))
     np.random.set_state(state["numpy"])
     torch.set_rng_state(torch.from_numpy(state["torch"]))
     if model.device.type == "cuda":
