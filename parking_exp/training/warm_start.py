@@ -11,7 +11,6 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.settings import (
-    Setting,
     differing_keys,
     display_setting,
     settings_of,
@@ -100,20 +99,13 @@ def _find_buffer(config: RunConfig, agent: Agent) -> Path:
     return checkpoint / BUFFER
 
 
-def _model_settings(config: RunConfig) -> dict[str, Setting]:
-    """Return a config as dotted keys, without those of optimizers."""
-    plain = config.plain()
-    given = plain["algorithm"].pop("policy_kwargs", None) or {}
-    kept = {key: value for key, value in given.items() if not key.startswith("optimizer")}
-    settings = settings_of(plain) | settings_of(kept, "algorithm.policy_kwargs.")
-    return with_defaults(settings)
-
-
 def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) -> None:
-    own = _model_settings(config)
-    source = _model_settings(agent.config)
+    own = with_defaults(settings_of(config.plain()))
+    source = with_defaults(settings_of(agent.config.plain()))
     for key in differing_keys([own, source]):
-        if key.startswith(keys):
+        is_of_optimizer = key.startswith("algorithm.policy_kwargs.optimizer")
+        is_empty = key == "algorithm.policy_kwargs"  # for one of both
+        if key.startswith(keys) and not (is_of_optimizer or is_empty):
             raise ConfigError(
                 f"init={config.init} does not fit: its {key} is "
                 f"{display_setting(source.get(key))}, and this run's is "
