@@ -66,7 +66,6 @@ class StatusEntries(_Entries):
     success_rate: float | None = None
     wall_s: Seconds | None = None
     cpu_s: Seconds | None = None
-    memory_bytes: BoundedCount | None = None
     host: str | None = None
     pid: BoundedCount | None = None
     started: Seconds | None = None

@@ -1,7 +1,5 @@
 """Train one run whose locks are held, and record in its directory how that ends."""
 
-import resource
-import sys
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -109,15 +107,9 @@ def _train_and_evaluate(
         success_rate=metrics.get("final/success_rate"),
         wall_s=metrics.get("time/wall_s"),
         cpu_s=metrics.get("time/cpu_s"),
-        memory_bytes=_peak_memory_bytes(),
         evaluation=config.final_settings,
     )
     return description
-
-
-def _peak_memory_bytes() -> int:
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def _record_failure(error: BaseException, directory: RunDirectory) -> None:

@@ -71,7 +71,6 @@ WRONG = {
     "success_rate": 7.5,
     "wall_s": 1e300,
     "cpu_s": True,
-    "memory_bytes": 0.5,
     "host": [],
     "pid": "1",
     "started": "now",
