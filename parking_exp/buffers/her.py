@@ -220,11 +220,8 @@ class HerBuffer(DictReplayBuffer):
         self.storage.set_state(state)
         self._update_position()
         if self.demonstrations is not None:
-            demonstrated = {
-                name.removeprefix(DEMONSTRATIONS_PREFIX): state[name]
-                for name in state
-                if name.startswith(DEMONSTRATIONS_PREFIX)
-            }
+            names = self.demonstrations.storage.get_state()
+            demonstrated = {name: state[f"{DEMONSTRATIONS_PREFIX}{name}"] for name in names}
             self.demonstrations.set_transitions(demonstrated)
 
     def set_transitions(self, state: Mapping[str, np.ndarray]) -> None:
@@ -320,16 +317,12 @@ def _joined(
     first: DictReplayBufferSamples, second: DictReplayBufferSamples
 ) -> DictReplayBufferSamples:
     """Return two minibatches as one."""
-    return DictReplayBufferSamples(
-        observations=_joined_entries(first.observations, second.observations),
-        actions=torch.cat([first.actions, second.actions]),
-        next_observations=_joined_entries(first.next_observations, second.next_observations),
-        dones=torch.cat([first.dones, second.dones]),
-        rewards=torch.cat([first.rewards, second.rewards]),
-    )
-
-
-def _joined_entries(
-    first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]
-) -> dict[str, torch.Tensor]:
-    return {key: torch.cat([entry, second[key]]) for key, entry in first.items()}
+    # The sixth field, `discounts`, is None: it belongs to n-step returns.
+    fields: Any = zip(first[:5], second[:5], strict=True)
+    joined: list[Any] = []
+    for own, other in fields:
+        if isinstance(own, dict):
+            joined.append({key: torch.cat([entry, other[key]]) for key, entry in own.items()})
+        else:
+            joined.append(torch.cat([own, other]))
+    return DictReplayBufferSamples(*joined)
