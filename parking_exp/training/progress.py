@@ -1,5 +1,6 @@
 """Progress of a training: a rich bar on a terminal, ten lines elsewhere, and the heartbeat."""
 
+import math
 import time
 from collections.abc import Callable
 
@@ -62,20 +63,20 @@ class TrainingProgress:
         """Remove the bar."""
         self._bar.stop()
 
-    def update(self, step: int, success_rate: float | None, episode_return: float | None) -> None:
-        """Show the step, and the means over the last training episodes."""
+    def update(self, step: int, success_rate: float, episode_return: float) -> None:
+        """Show the step, and the means over the last training episodes; NaN before the first."""
         self._step = step
         rate = (step - self._start) / max(time.monotonic() - self._started, 1e-9)
         if time.monotonic() >= self._next_heartbeat:
             self._send_heartbeat("train", rate)
-        success = "" if success_rate is None else f"success {success_rate:4.0%}  "
+        success = "" if math.isnan(success_rate) else f"success {success_rate:4.0%}  "
         speed = f"{rate:.0f} steps/s"
         self._bar.update(
             self._task, completed=step, figures=f"{success}{speed}", description="train"
         )
         if not self.console.is_terminal and step >= self._next_line:
             self._next_line += self._line_interval
-            mean_return = "" if episode_return is None else f"return {episode_return:6.1f}  "
+            mean_return = "" if math.isnan(episode_return) else f"return {episode_return:6.1f}  "
             self.say(f"train  {step}/{self._total} steps  {success}{mean_return}{speed}")
 
     def show_activity(self, activity: str) -> None:

@@ -1,7 +1,7 @@
 """The session of a run that is trained: its model and envs, with evaluations and checkpoints."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from numbers import Real
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from hydra.utils import instantiate
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import safe_mean
 
 from parking_exp.algorithms.build_model import GreedyPolicy, build_model
 from parking_exp.algorithms.normalization import UpdateNormalizer
@@ -228,13 +229,8 @@ class RolloutCallback(BaseCallback):
 
     def _update_bar(self) -> None:
         returns = [episode["r"] for episode in self.model.ep_info_buffer or ()]
-        success_rate = _mean_or_none(self.model.ep_success_buffer or ())
-        self.session.bar.update(self.num_timesteps, success_rate, _mean_or_none(returns))
-
-
-def _mean_or_none(values: Iterable[float]) -> float | None:
-    numbers = list(values)
-    return float(np.mean(numbers)) if numbers else None
+        success_rate = safe_mean(self.model.ep_success_buffer or [])
+        self.session.bar.update(self.num_timesteps, success_rate, safe_mean(returns))
 
 
 def _is_due(step: int, last: int, every: int | None) -> bool:
