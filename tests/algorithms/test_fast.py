@@ -14,7 +14,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from support import models
 from support.marks import slow_but
 
-from parking_exp.algorithms import fast
+from parking_exp import algorithms
 from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.buffers import HerBuffer
@@ -27,8 +27,8 @@ REWARD = ParkingReward.of(compose().env)
 ALGORITHMS = ("SAC", "TD3", "DDPG")
 
 
-def make_model(name, *overrides, module=fast, seed=0):
-    package = "parking_exp.algorithms.fast" if module is fast else "stable_baselines3"
+def make_model(name, *overrides, module=algorithms, seed=0):
+    package = "parking_exp.algorithms" if module is algorithms else "stable_baselines3"
     target = f"algorithm._target_={package}.{name}"
     few = (
         "n_envs=8",
@@ -42,7 +42,7 @@ def make_model(name, *overrides, module=fast, seed=0):
 def pair(name, *overrides, seed=0):
     """Stable-Baselines3's model and ours, with the same weights."""
     theirs, ours = (
-        make_model(name, *overrides, module=module, seed=seed) for module in (sb3, fast)
+        make_model(name, *overrides, module=module, seed=seed) for module in (sb3, algorithms)
     )
     ours.set_parameters(theirs.get_parameters())
     return theirs, ours
@@ -191,9 +191,9 @@ def test_unsupported_models_are_trained_by_stable_baselines3(arguments):
     env = make_training_envs(make_task(compose().env), 2)
     shared = {"policy": "MultiInputPolicy", "env": env, "seed": 0, "buffer_size": 10}
     her = {"replay_buffer_class": HerBuffer, "replay_buffer_kwargs": {"reward": REWARD}}
-    assert is_supported(fast.SAC(**shared, **her))
+    assert is_supported(algorithms.SAC(**shared, **her))
     arguments = shared | her | arguments
-    theirs, ours = sb3.SAC(**arguments), fast.SAC(**arguments)
+    theirs, ours = sb3.SAC(**arguments), algorithms.SAC(**arguments)
     assert not is_supported(ours)
     samples = batches(5, 64, 0)
     for model in (theirs, ours):
