@@ -33,7 +33,7 @@ class EpisodeIndex:
         self.tail = np.zeros(n_envs, np.int64)
         self.head = np.zeros(n_envs, np.int64)
         self.current = np.full(n_envs, NO_EPISODE)
-        # One record for each transition: no memory is used before a record is written.
+        # As many records as transitions; `np.zeros` takes memory only where one is written.
         record = [("start", np.int32), ("length", np.int32), ("goal", *goal_format)]
         self.table = np.zeros((capacity + 1) * n_envs, record)
         self._n_records = 0

@@ -30,10 +30,10 @@ class HerBuffer(DictReplayBuffer):
 
     The cost of sampling depends neither on the capacity nor on how full the buffer is. With
     `relabel_collision` and `relabel_terminated` at `sb3` and `goal_velocity` at `achieved`, which
-    are the defaults, batches are those of Stable-Baselines3's `HerReplayBuffer`. It samples from
-    NumPy's global generator only its own seed.
+    are the defaults, batches are those of Stable-Baselines3's `HerReplayBuffer`. The buffer seeds
+    a generator of its own from NumPy's global one, once.
 
-    Memory is 112 bytes for a transition of parking-v0, and 60 to 90 for an episode.
+    `Storage` says how much memory a transition takes.
 
     Args (others are those of `DictReplayBuffer`):
         n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every

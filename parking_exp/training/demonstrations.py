@@ -74,7 +74,7 @@ def add_demonstrations(
     """
     buffer: Any = model.replay_buffer
     demonstrations: HerBuffer = buffer.demonstrations
-    path = _path(config, demonstrations)
+    path = _prepare_file(config, demonstrations)
     lock = FileLock(path.with_suffix(".lock"))
     _wait_for(lock, partial(on_progress, 0))
     try:
@@ -96,8 +96,8 @@ def add_demonstrations(
         raise ModelError(f"{path} is damaged; delete it, and it is made anew") from error
 
 
-def _path(config: RunConfig, buffer: HerBuffer) -> Path:
-    """Return the file of the demonstrations of a run, whose folder exists then."""
+def _prepare_file(config: RunConfig, buffer: HerBuffer) -> Path:
+    """Make the folder of a run's demonstrations and return their file; links are refused."""
     settings = config.buffer
     env = config.env
     content = {

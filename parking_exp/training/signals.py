@@ -1,4 +1,4 @@
-"""Turn SIGINT, SIGTERM and SIGHUP into a stop request that is honoured between rollouts."""
+"""Turn SIGINT, SIGTERM and SIGHUP into a stop request, which long activities check for."""
 
 import os
 import signal

@@ -78,10 +78,10 @@ class TrainingSession(RunSession):
 
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:
-            # Of an attempt that was killed before its first checkpoint.
+            # An attempt that was killed before its first checkpoint may have left one.
             self._best.unlink(missing_ok=True)
             if config.init is not None:
-                directory.update(init_sha256=warm_start.start(config, self.model))
+                directory.update(init_sha256=warm_start.load_source(config, self.model))
             if config.buffer.demonstrations:
                 self._add_demonstrations()
         else:
@@ -91,7 +91,10 @@ class TrainingSession(RunSession):
             self.bar.say(f"resuming at step {progress.step}")
 
     def _add_demonstrations(self) -> None:
-        """Add what the run learns from beside its own episodes, and count its CPU time."""
+        """Fill the demonstration buffer, and count the CPU time of recording it.
+
+        It counts even if another run has recorded them.
+        """
         self.bar.show_activity("demonstrations")
         before_s = time.process_time()
         n_episodes = self.config.buffer.demonstrations

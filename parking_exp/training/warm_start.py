@@ -28,7 +28,8 @@ from parking_exp.training import checkpoints
 # Networks that differ in these may have layers of the same shapes.
 OF_NETWORKS = ("_target_", "features", "normalize", "net_arch", "policy_kwargs")
 NETWORK_KEYS = tuple(f"algorithm.{name}" for name in OF_NETWORKS)
-# The rewards of stored transitions are those of their run; `env.reward` has `reward_weights`, too.
+# The rewards of stored transitions are those of their run. Keys that begin with one of these count,
+# too: `env.reward_weights`, for example.
 BUFFER_KEYS = (
     "n_envs",
     "buffer._target_",
@@ -73,7 +74,7 @@ def _check_layers(config: RunConfig, agent: Agent) -> None:
         raise ModelError(f"init={config.init}: {error}") from error
 
 
-def start(config: RunConfig, model: OffPolicyAlgorithm) -> str:
+def load_source(config: RunConfig, model: OffPolicyAlgorithm) -> str:
     """Give a fresh model what its run starts from, and return the SHA-256 of the file of weights.
 
     It raises what `check_sources` does, and ModelError if the replay buffer does not fit.

@@ -64,7 +64,7 @@ def test_networks_and_entropy_coefficient_are_the_sources_and_optimizers_are_new
     config = from_source(source)
     model = model_of(config)
     file = source.models / "final.zip"
-    assert warm_start.start(config, model) == sha256(file)
+    assert warm_start.load_source(config, model) == sha256(file)
 
     stored = parameters(file)
     networks = model.policy.state_dict()
@@ -81,14 +81,14 @@ def test_keys_of_the_optimizer_may_differ(source):
     config = from_source(source, "++algorithm.policy_kwargs.optimizer_kwargs.eps=1e-6")
     warm_start.check_sources([config])
     model = model_of(config)
-    warm_start.start(config, model)
+    warm_start.load_source(config, model)
     assert model.actor.optimizer.param_groups[0]["eps"] == 1e-6
 
 
 def test_a_fixed_entropy_coefficient_stays(source):
     config = from_source(source, "algorithm.ent_coef=0.3")
     model = model_of(config)
-    warm_start.start(config, model)
+    warm_start.load_source(config, model)
     assert model.ent_coef_tensor.item() == pytest.approx(0.3)
 
 
@@ -96,7 +96,7 @@ def test_the_replay_buffer_has_the_sources_transitions_and_no_episode_under_way(
     config = from_source(source, "init_buffer=true", "algorithm.learning_starts=0")
     model = model_of(config)
     own = model.replay_buffer.rng.bit_generator.state
-    warm_start.start(config, model)
+    warm_start.load_source(config, model)
 
     buffer = model.replay_buffer
     with np.load(latest(source.checkpoints) / "replay_buffer.npz") as stored:
@@ -129,7 +129,7 @@ def test_networks_of_a_pretrained_agent_are_their_own_targets(
     )
     model = model_of(config.model_copy(update={"n_envs": 1}))
     new_critics = parameters_to_vector(model.critic.parameters())
-    warm_start.start(config, model)
+    warm_start.load_source(config, model)
     for name, weight in model.actor_target.state_dict().items():
         assert torch.equal(weight, model.actor.state_dict()[name]), name
     for name, weight in model.critic_target.state_dict().items():

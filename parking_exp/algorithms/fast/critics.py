@@ -47,7 +47,7 @@ class Critics:
         self._adam.step()
         return torch.stack(errors)
 
-    def action_gradient(
+    def value_and_gradient(
         self, inputs: torch.Tensor, n_actions: int, n_critics: int | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the values of actions, and the gradient of minus their mean by the actions.

@@ -26,18 +26,18 @@ class FastTraining:
     """
 
     update_class: ClassVar[type]
-    _update: Any = None
+    _updater: Any = None
     _flat_addresses: Sequence[int] = ()
 
     def train(self: Any, gradient_steps: int, batch_size: int = 64) -> None:
         """Do `gradient_steps` updates on minibatches of the replay buffer."""
         self.flatten_parameters()
-        if self._update is None:
+        if self._updater is None:
             super().train(gradient_steps, batch_size)  # type: ignore[misc]
             return
         self._update_learning_rate(self._optimizers())
         with torch.inference_mode():  # a tenth faster than no_grad: most operations here are tiny
-            losses = self._update.run(self, gradient_steps, batch_size)
+            losses = self._updater.run(self, gradient_steps, batch_size)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         for name, value in losses.items():
             self.logger.record(f"train/{name}", value)
@@ -51,7 +51,7 @@ class FastTraining:
         if self._addresses() == self._flat_addresses:
             return
         with torch.no_grad():
-            self._update = self.update_class(self) if is_supported(self) else None
+            self._updater = self.update_class(self) if is_supported(self) else None
         self._flat_addresses = self._addresses()
 
     def _addresses(self: Any) -> list[int]:
@@ -74,7 +74,7 @@ class FastTraining:
 
     def _excluded_save_params(self: Any) -> list[str]:
         excluded = super()._excluded_save_params()  # type: ignore[misc]
-        return [*excluded, "_update", "_flat_addresses"]
+        return [*excluded, "_updater", "_flat_addresses"]
 
 
 def is_supported(model: Any) -> bool:

@@ -70,7 +70,7 @@ class SACUpdate:
         target = rewards + discounts * next_value
         errors = self.critics.update(torch.cat((features[:n], actions), 1), target, weight=0.5)
 
-        value, grad_action = self.critics.action_gradient(inputs[:n], n_actions)
+        value, grad_action = self.critics.value_and_gradient(inputs[:n], n_actions)
         grad_mean, grad_log_std = policy.first(n).backward(grad_action, ent_coef * (1 / n))
         self._update_actor([value[:n] for value in values], grad_mean, grad_log_std)
         return ent_coef, log_prob, value, errors

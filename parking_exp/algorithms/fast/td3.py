@@ -56,7 +56,7 @@ class TD3Update:
         values = self.actor.forward(features)
         actions = torch.tanh(values[-1])
         inputs = torch.cat((features, actions), 1)
-        value, gradient = self.critics.action_gradient(inputs, actions.shape[1], n_critics=1)
+        value, gradient = self.critics.value_and_gradient(inputs, actions.shape[1], n_critics=1)
         gradient = torch.ops.aten.tanh_backward(gradient, actions)
         self.actor.backward(values, gradient, self.adam.gradients)
         self.adam.step()
