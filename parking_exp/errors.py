@@ -2,6 +2,8 @@
 
 import errno
 import sqlite3
+from collections.abc import Mapping
+from typing import Any
 
 # Problems of disks and permissions. Any other `OSError` may be a bug, and keeps its traceback.
 DISK_ERRORS = {
@@ -89,6 +91,12 @@ def one_line(error: object) -> str:
 def class_and_message(error: BaseException) -> str:
     """Return an error's class and message as one line."""
     return f"{type(error).__name__}: {one_line(error)}"
+
+
+def reason_of(problem: Mapping[str, Any]) -> str:
+    """Return the end of a sentence about an item of pydantic's `ValidationError.errors()`."""
+    message = problem["msg"].removeprefix("Value error, ")
+    return message[0].lower() + message[1:]
 
 
 def reason_of_failure(error: BaseException) -> str:

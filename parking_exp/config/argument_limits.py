@@ -51,8 +51,10 @@ LIMITS: dict[str, Any] = {
     "batch_size": Annotated[int, Field(ge=1, le=1_000_000)],
     "tau": Share,
     "gamma": Share,
-    "train_freq": Count | Annotated[tuple[Count, Literal["step", "episode"]], Field(strict=False)],
-    "gradient_steps": Literal[-1] | Count,  # -1: as many as steps
+    "train_freq": Count
+    | Annotated[tuple[Count, Literal["step", "episode"]], Field(strict=False)]
+    | None,
+    "gradient_steps": Literal[-1] | Count | None,  # -1: as many as steps
     "policy_delay": Count,
     "target_update_interval": Count,
     "target_policy_noise": NonNegativeFloat,
@@ -66,7 +68,7 @@ LIMITS: dict[str, Any] = {
     "handle_timeout_termination": bool,
     "top_quantiles_to_drop_per_net": NonNegativeInt,
     "n_sampled_goal": Count,
-    "goal_selection_strategy": GoalStrategy,
+    "goal_selection_strategy": GoalStrategy | None,
     **RELABEL_OPTIONS,
     "n_critics": Annotated[int, Field(ge=1, le=100)],
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],

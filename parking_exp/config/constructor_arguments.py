@@ -1,12 +1,13 @@
 """Check the arguments of third-party classes against their signatures, nested ones included.
 
 Nested arguments are nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and
-features extractor. This imports the classes, and torch with them, so everything that can be checked
-without them is checked first.
+features extractor. Classes are imported, and torch with them, unless `conf/` uses them with the
+same arguments (`KNOWN_ARGUMENTS`), so everything that can be checked without them is checked first.
 """
 
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -16,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.dotted_paths import import_object
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, reason_of
 from parking_exp.phrases import SIMILAR, did_you_mean, suggestion
 
 # Base classes of the sections' classes.
@@ -44,8 +45,6 @@ MIRRORED_POLICIES = "parking_exp.algorithms.mirrored_policies.MIRRORED"
 PLAIN_TYPES = (int, float, bool, str, NoneType)
 CHECKED_TYPES = (Literal, Annotated)  # of annotations that pydantic checks as they are
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
-# May be null although the library's annotation has no None: the run computes them.
-NULLABLE = {"train_freq", "gradient_steps", "goal_selection_strategy"}
 # By section, our own keys beside the class's arguments.
 SECTION_KEYS = {"algorithm": AlgorithmConfig.model_fields, "buffer": BufferConfig.model_fields}
 # By section, arguments that the run sets itself.
@@ -65,6 +64,36 @@ SET_BY_RUN = {
     "buffer.demonstrator": {"task", "seed"},
     "tracking.trackers": {"config", "run_dir"},
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Signature:
+    """What a class or function takes."""
+
+    name: str = ""
+    types: Mapping[str, Any] = field(default_factory=dict)  # argument -> annotation
+    required: Set[str] = frozenset()
+    is_open: bool = False  # takes any other arguments, too
+
+
+def _signature(call: Any) -> _Signature:
+    """Return the signature of a class or function."""
+    name = getattr(call, "__name__", "")
+    try:
+        parameters = inspect.signature(call).parameters.values()
+    except (TypeError, ValueError):  # compiled, without a signature
+        return _Signature(name, is_open=True)
+    types = {}
+    required = set()
+    is_open = False
+    for parameter in parameters:
+        if parameter.kind is parameter.VAR_KEYWORD:
+            is_open = True
+        elif parameter.kind is not parameter.VAR_POSITIONAL:
+            types[parameter.name] = parameter.annotation
+            if parameter.default is parameter.empty:
+                required.add(parameter.name)
+    return _Signature(name, types, required, is_open)
 
 
 def class_path(value: Any) -> Any:
@@ -121,8 +150,8 @@ def policy_class(algorithm: type) -> type | None:
 
 def takes(call: Any, name: str) -> bool:
     """Return whether a class or function accepts an argument."""
-    parameters, is_open = _parameters(call)
-    return is_open or name in parameters
+    signature = _signature(call)
+    return signature.is_open or name in signature.types
 
 
 def argument_hint(key: str, node: Mapping[str, Any], of_options: str) -> str:
@@ -135,10 +164,10 @@ def argument_hint(key: str, node: Mapping[str, Any], of_options: str) -> str:
     if hint:
         return hint
     try:
-        parameters, _ = _parameters(import_object(node["_target_"]))
+        signature = _signature(import_object(node["_target_"]))
     except ConfigError:
-        parameters = {}
-    arguments = set(parameters) - SET_BY_RUN.get(section, set())
+        signature = _Signature()
+    arguments = signature.types.keys() - SET_BY_RUN.get(section, set())
     similar = get_close_matches(name, sorted(arguments), n=1, cutoff=SIMILAR)
     if similar and similar[0] != name:
         return f"; did you mean '++{section}.{similar[0]}'?"
@@ -166,7 +195,7 @@ def _policy_problems(algorithm: AlgorithmConfig, algorithm_class: type) -> Itera
 
     if policy is None:
         return
-    problems = list(_call_problems(key, policy, given))
+    problems = list(_argument_problems(key, _signature(policy), given))
     yield from problems
     if problems:
         return
@@ -212,8 +241,10 @@ def _target_problems(
     given = {}
     if isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
+    # Known classes are not imported. None of them is a scripted policy, which has to be said.
     if base != SCRIPTED_POLICY and given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
-        yield from _parameter_problems(key, target.rpartition(".")[2], {}, given, is_open=True)
+        signature = _Signature(target.rpartition(".")[2], is_open=True)
+        yield from _argument_problems(key, signature, given)
         return
     assignment = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
@@ -225,108 +256,50 @@ def _target_problems(
         yield f"{assignment} is not a subclass of {base}"
     elif isinstance(value, Mapping):
         gets_more = partial or bool(value.get("_partial_")) or "_args_" in value
-        yield from _call_problems(key, call, given, partial=gets_more)
-
-
-def _call_problems(
-    key: str, call: Any, given: Mapping[str, Any], *, partial: bool = False
-) -> Iterator[str]:
-    """Yield what is wrong with the arguments of a call; a `partial` call gets more later."""
-    parameters, is_open = _parameters(call)
-    yield from _parameter_problems(
-        key, getattr(call, "__name__", ""), parameters, given, is_open=is_open, partial=partial
-    )
-
-
-def _parameter_problems(
-    key: str,
-    class_name: str,
-    parameters: Mapping[str, inspect.Parameter],
-    given: Mapping[str, Any],
-    *,
-    is_open: bool = False,
-    partial: bool = False,
-) -> Iterator[str]:
-    """Yield which arguments do not fit the parameters; an `is_open` call takes others, too."""
-    # Entries of a list have its name and a number.
-    set_by_run = SET_BY_RUN.get(key.rstrip(".0123456789"), set())
-    limits = CLASS_LIMITS.get(class_name, LIMITS)
-    settable = dict(parameters)
-    for name in set_by_run:
-        settable.pop(name, None)
-    for name, value in given.items():
-        path = f"{key}.{name}"
-        if name in set_by_run:
-            yield f"{path} is set by the run itself"
-        elif name not in settable and not is_open:
-            known = [*settable, *SECTION_KEYS.get(key, ())]
-            yield f"{path}: there is no such key{suggestion(name, known)}"
-        else:
-            yield from _argument_problems(path, name, value, settable.get(name), limits)
-    if not partial:
-        yield from _missing_arguments(key, settable, given)
-
-
-def _missing_arguments(
-    key: str, settable: Mapping[str, inspect.Parameter], given: Mapping[str, Any]
-) -> Iterator[str]:
-    """Yield which parameters without a default are not given."""
-    for name, parameter in settable.items():
-        if parameter.default is inspect.Parameter.empty and name not in given:
-            yield f"{key}.{name} is missing"
+        yield from _argument_problems(key, _signature(call), given, partial=gets_more)
 
 
 def _argument_problems(
-    key: str,
-    name: str,
-    value: Any,
-    parameter: inspect.Parameter | None,
-    limits: Mapping[str, Any],
+    key: str, signature: _Signature, given: Mapping[str, Any], *, partial: bool = False
 ) -> Iterator[str]:
-    """Yield what is wrong with an argument: a class, a node with a `_target_`, or a plain value."""
-    is_class = name in CLASS_ARGUMENTS
-    is_target = isinstance(class_path(value), str)
-    if is_class and value is not None and not is_target:
-        yield f"{key}={value!r} is not a class; give a dotted path or a node with a _target_"
-    elif is_target and (is_class or isinstance(value, Mapping)):
-        yield from _target_problems(key, value, CLASS_ARGUMENTS.get(name), partial=is_class)
-    elif parameter is not None or name in limits:  # a class that takes others passes them on
-        yield from _value_problems(key, name, value, parameter, limits)
+    """Yield which arguments do not fit a signature; a `partial` call gets more later."""
+    # Entries of a list have its name and a number.
+    set_by_run = SET_BY_RUN.get(key.rstrip(".0123456789"), set())
+    limits = CLASS_LIMITS.get(signature.name, LIMITS)
+    settable = [name for name in signature.types if name not in set_by_run]
+    for name, value in given.items():
+        path = f"{key}.{name}"
+        base = CLASS_ARGUMENTS.get(name)
+        is_class = base is not None and value is not None
+        if name in set_by_run:
+            yield f"{path} is set by the run itself"
+        elif name not in settable and not signature.is_open:
+            known = [*settable, *SECTION_KEYS.get(key, ())]
+            yield f"{path}: there is no such key{suggestion(name, known)}"
+        elif is_class or (isinstance(value, Mapping) and "_target_" in value):
+            yield from _target_problems(path, value, base, partial=is_class)
+        else:
+            annotation = signature.types.get(name, Any)
+            yield from _value_problems(path, value, annotation, limits.get(name))
+    if partial:
+        return
+    for name in settable:
+        if name in signature.required and name not in given:
+            yield f"{key}.{name} is missing"
 
 
-def _value_problems(
-    key: str,
-    name: str,
-    value: Any,
-    parameter: inspect.Parameter | None,
-    limits: Mapping[str, Any],
-) -> Iterator[str]:
+def _value_problems(key: str, value: Any, annotation: Any, limit: Any) -> Iterator[str]:
     """Yield that a value is out of its range or, without a range, is not of its annotated type."""
-    annotation = Any if parameter is None else parameter.annotation
     types = {annotation}
     if get_origin(annotation) not in CHECKED_TYPES:
         types = set(get_args(annotation)) or types
-    if value is None and (NoneType in types or name in NULLABLE):
+    if value is None and NoneType in types:
         return
     is_plain = all(part in PLAIN_TYPES or get_origin(part) in CHECKED_TYPES for part in types)
-    limit = limits.get(name)
     if limit is None:
         limit = annotation if is_plain else Any
     try:
         TypeAdapter(limit, config=STRICT).validate_python(value)
     except ValidationError as error:
-        messages = [problem["msg"].removeprefix("Value error, ") for problem in error.errors()]
-        reasons = [message[0].lower() + message[1:] for message in messages]
+        reasons = [reason_of(problem) for problem in error.errors()]
         yield f"{key}={value!r}: {' or '.join(reasons)}"
-
-
-def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
-    """Return the named parameters of a class or function, and whether it takes any others."""
-    try:
-        parameters = inspect.signature(call).parameters.values()
-    except (TypeError, ValueError):  # compiled, without a signature
-        return {}, True
-    unnamed = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    named = {parameter.name: parameter for parameter in parameters if parameter.kind not in unnamed}
-    is_open = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters)
-    return named, is_open

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from parking_exp.config.constructor_arguments import argument_problems
 from parking_exp.config.rules import rule_problems, task_problems, update_ratio_problems
 from parking_exp.config.schema import RunConfig, SweepOptions
-from parking_exp.errors import ConfigError, first_line
+from parking_exp.errors import ConfigError, first_line, reason_of
 from parking_exp.phrases import did_you_mean
 from parking_exp.tasks.registry import TASKS
 
@@ -91,8 +91,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
     """Say what is wrong with a value: an item of `ValidationError.errors()`."""
     # Pydantic adds the task to keys of `env`.
     key = ".".join(str(part) for part in error["loc"] if part not in TASKS)
-    reason = error["msg"].removeprefix("Value error, ")
-    reason = reason[0].lower() + reason[1:]
+    reason = reason_of(error)
     match error["type"]:
         case "missing":
             return f"{key} is missing"
