@@ -25,7 +25,7 @@ from omegaconf.errors import (
 
 from parking_exp.config.constructor_arguments import argument_hint
 from parking_exp.config.grid import MAX_RUNS, Block, Point, expand_points, read_blocks, seeds_of
-from parking_exp.config.hydra_settings import check_hydra_overrides, check_hydra_settings
+from parking_exp.config.hydra_settings import check_hydra_settings
 from parking_exp.config.overrides import (
     axes_of,
     config_dir,
@@ -41,6 +41,7 @@ from parking_exp.errors import ConfigError, ParkingError, first_line, one_line
 from parking_exp.phrases import suggestion
 
 VERSION_BASE = "1.3"
+LAUNCHING = ("config", "tune")  # roots of the commands that launch runs
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,6 @@ def compose_runs(
         ConfigError: an override names no key or option, or the config does not compose.
     """
     hydra_overrides = [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)]
-    check_hydra_overrides(config_name, hydra_overrides)
     with hydra_ready():
         composer = _Composer(config_name, hydra_overrides)
         axes = axes_of(to_hydra_syntax(line) for line in overrides if not is_hydra_override(line))
@@ -176,7 +176,8 @@ class _Composer:
         # Only files of the user's own set keys of Hydra.
         if self._hydra_overrides or any("/" in override for override in overrides):
             plain = hydra.compose(self._config_name, return_hydra_config=True)
-            check_hydra_settings(self._config_name, config.hydra, plain.hydra)
+            launches_runs = self._config_name in LAUNCHING
+            check_hydra_settings(config.hydra, plain.hydra, launches_runs=launches_runs)
         choices = {str(group): option for group, option in config.hydra.runtime.choices.items()}
         options = {
             group: option for group, option in choices.items() if not group.startswith("hydra")

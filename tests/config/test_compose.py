@@ -85,7 +85,8 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("hydra.run.dir=elsewhere", "output_dir=DIR"),
         ("hydra.job.chdir=true", "output_dir=DIR"),
         ("+hydra.job.env_set.X=1", "environment variables in the shell"),
-        ("hydra.sweeper.params={seed: '1,2'}", "cells: "),
+        ("+hydra.sweeper.params.seed='1,2'", "cells: "),
+        ("hydra.sweeper.params={seed: '1,2'}", "hydra.sweeper.params.seed: there is no such key"),
         ("hydra.verbose=true", "only hydra/launcher"),
         ("experiment=nowhere.yaml", "nowhere.yaml"),
     ],
@@ -295,10 +296,11 @@ def test_other_settings_of_hydra_in_a_file_are_refused(tmp_path, settings, words
 
 @pytest.mark.parametrize("name", ["evaluate", "export", "report", "status"])
 def test_a_launcher_is_refused_by_commands_that_launch_nothing(name):
-    with pytest.raises(
-        ConfigError, match=r"^hydra/launcher=slurm has no effect; this command launches no runs"
-    ):
+    words = "has no effect; this command launches no runs; leave it out"
+    with pytest.raises(ConfigError, match=rf"^hydra\.launcher\.\S+ {words}$"):
         compose_configs(name, ["hydra/launcher=slurm"])
+    with pytest.raises(ConfigError, match=rf"^hydra\.launcher\.n_jobs=2 {words}$"):
+        compose_configs(name, ["hydra.launcher.n_jobs=2"])
 
 
 def test_arguments_that_a_class_of_the_users_own_takes_are_suggested(tmp_path, monkeypatch):
