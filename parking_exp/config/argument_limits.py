@@ -51,10 +51,8 @@ LIMITS: dict[str, Any] = {
     "batch_size": Annotated[int, Field(ge=1, le=1_000_000)],
     "tau": Share,
     "gamma": Share,
-    "train_freq": Count
-    | Annotated[tuple[Count, Literal["step", "episode"]], Field(strict=False)]
-    | None,
-    "gradient_steps": Literal[-1] | Count | None,  # -1: as many as steps
+    "train_freq": Any,  # rules compare both with `updates_per_step`
+    "gradient_steps": Any,
     "policy_delay": Count,
     "target_update_interval": Count,
     "target_policy_noise": NonNegativeFloat,

@@ -1,7 +1,6 @@
 """Rules between the keys of a config."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from fractions import Fraction
 
 from parking_exp.config.argument_limits import HER_OPTIONS
 from parking_exp.config.schema import RunConfig
@@ -24,6 +23,8 @@ def rule_problems(run: RunConfig) -> Iterator[str]:
         yield "init_buffer=true needs init=RUN, whose replay buffer it takes"
     yield from _buffer_problems(run)
     yield from _algorithm_problems(run)
+    if run.is_trained:
+        yield from _round_problems(run)
     yield from _evaluation_problems(run)
 
 
@@ -115,7 +116,6 @@ def _noise_problems(run: RunConfig, task: Task) -> Iterator[str]:
 
 def _algorithm_problems(run: RunConfig) -> Iterator[str]:
     algorithm = run.algorithm
-    train_freq = algorithm.arguments.get("train_freq")
     if run.is_trained and run.total_timesteps == 0:
         yield f"total_timesteps=0: algorithm={algorithm.name} is trained; give at least 1"
     if algorithm.normalize and algorithm.features != "raw":
@@ -123,8 +123,6 @@ def _algorithm_problems(run: RunConfig) -> Iterator[str]:
             f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} does its own "
             "scaling"
         )
-    if isinstance(train_freq, list) and "episode" in train_freq and run.n_envs > 1:
-        yield "algorithm.train_freq counts episodes, which works with one env only; set n_envs=1"
     if run.tracking.mlflow and run.experiment_name == "Default":
         yield "experiment_name=Default is reserved by MLflow; choose another name"
 
@@ -147,37 +145,18 @@ def update_ratio_warning(run: RunConfig) -> str | None:
     return warning
 
 
-def update_ratio_problems(run: RunConfig) -> Iterator[str]:
-    """Yield a sentence if no round of updates has the ratio that the config asks for."""
-    train_freq, gradient_steps = run.update_rounds()
+def _round_problems(run: RunConfig) -> Iterator[str]:
+    """Yield a sentence for keys that set another round of updates, and for rounds that are long."""
     asked = f"updates_per_step={run.updates_per_step}"
-    given = [
-        f"algorithm.{name}={run.algorithm.arguments[name]}"
-        for name in ("train_freq", "gradient_steps")
-        if run.algorithm.arguments.get(name) is not None
-    ]
-    if isinstance(train_freq, tuple):
-        if gradient_steps != -1:
+    train_freq, gradient_steps = run.update_rounds()
+    for name, number in (("train_freq", train_freq), ("gradient_steps", gradient_steps)):
+        given = run.algorithm.arguments.get(name)
+        if given not in (None, number):
             yield (
-                f"{' and '.join(given)}: the ratio would depend on the length of episodes; leave "
-                "gradient_steps null"
+                f"algorithm.{name}={given}: it follows from {asked} and n_envs={run.n_envs}, which "
+                f"make it {number}; leave it null"
             )
-        elif run.update_ratio != 1:
-            yield (
-                f"{given[0]} does one update per env step; set updates_per_step=1, or leave "
-                "train_freq null"
-            )
-        return
-    ratio = (
-        Fraction(1) if gradient_steps == -1 else Fraction(gradient_steps, train_freq * run.n_envs)
-    )
-    if ratio != run.update_ratio:
-        yield (
-            f"{' and '.join(given)} with n_envs={run.n_envs}: {float(ratio)} updates per env step, "
-            f"not {asked}; set "
-            f"updates_per_step={float(ratio)}, or leave train_freq and gradient_steps null"
-        )
-    elif not given and train_freq > MAX_ROUND:
+    if train_freq > MAX_ROUND:
         near = run.update_ratio.limit_denominator(MAX_ROUND)
         yield (
             f"{asked}: updates would come after {train_freq} steps of each env; try "

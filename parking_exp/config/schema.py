@@ -5,7 +5,6 @@ Arguments of third-party classes keep the library's names, and are checked by
 `config.constructor_arguments`.
 """
 
-import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
@@ -318,27 +317,12 @@ class RunConfig(OutputConfig):
         settings = self.evaluation.model_dump(include=FINAL_EVALUATION)
         return {**settings, "n_certified_scenes": self.n_cross_checked}
 
-    def update_rounds(self) -> tuple[int | tuple[int, str], int]:
+    def update_rounds(self) -> tuple[int, int]:
         """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step`
         exact.
-
-        Values of the `algorithm` section take precedence; `rules.update_ratio_problems` names those
-        of another ratio. -1 updates are as many as env steps.
         """
-        train_freq = self.algorithm.arguments.get("train_freq")
-        gradient_steps = self.algorithm.arguments.get("gradient_steps")
-        if isinstance(train_freq, list | tuple):
-            number, unit = train_freq
-            if unit == "episode":
-                return (number, unit), -1 if gradient_steps is None else gradient_steps
-            train_freq = number
         per_vec_step = self.update_ratio * self.n_envs
-        if gradient_steps is None:
-            train_freq = train_freq or per_vec_step.denominator
-            return train_freq, math.ceil(per_vec_step * train_freq)
-        if train_freq is None:
-            train_freq = max(1, math.floor(gradient_steps / per_vec_step))
-        return train_freq, gradient_steps
+        return per_vec_step.denominator, per_vec_step.numerator
 
     @property
     def update_ratio(self) -> Fraction:

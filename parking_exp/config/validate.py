@@ -12,7 +12,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.constructor_arguments import argument_problems
-from parking_exp.config.rules import rule_problems, task_problems, update_ratio_problems
+from parking_exp.config.rules import rule_problems, task_problems
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError, first_line, reason_of
 from parking_exp.phrases import did_you_mean
@@ -51,8 +51,6 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     raise_problems(task_problems(runs))
     for run in runs:
         raise_problems(argument_problems(run))
-        if run.is_trained:
-            raise_problems(update_ratio_problems(run))
     return runs
 
 

@@ -38,12 +38,11 @@ KINDS = {
         "evaluation.n_scenes=3",
         "evaluation.final_n_scenes=5",
     ),
-    "sac, one highway_env by episodes, gSDE": (
+    "sac, three updates in ten steps of one highway_env, gSDE": (
         "experiment=smoke",
         "env.simulator=highway_env",
         "n_envs=1",
-        "algorithm.train_freq=[1,episode]",
-        "updates_per_step=1",
+        "updates_per_step=0.3",
         "algorithm.use_sde=true",
     ),
     "td3, EMA, Ornstein-Uhlenbeck noise, a full buffer": (

@@ -45,14 +45,13 @@ KINDS = {
     "sac with gSDE": (
         "algorithm.use_sde=true",
         "algorithm.sde_sample_freq=4",
-        "algorithm.train_freq=4",
+        "updates_per_step=0.125",  # an update in four steps of both envs
         "tracking.log_interval=1",
     ),
-    "sac, by episodes, in one highway_env, replay": (
+    "sac, three updates in ten steps, in one highway_env, replay": (
         HIGHWAY,
         "n_envs=1",
-        "algorithm.train_freq=[1,episode]",
-        "updates_per_step=1",
+        "updates_per_step=0.3",
         "buffer=replay",
     ),
     "td3, EMA, random goals, a full buffer": (
@@ -252,7 +251,9 @@ def comparable(tree):
     return leaves(checkpoints.to_tensors(tree), "")
 
 
-@pytest.mark.parametrize("kind", slow_but(["sac, by episodes, in one highway_env, replay"], KINDS))
+@pytest.mark.parametrize(
+    "kind", slow_but(["sac, three updates in ten steps, in one highway_env, replay"], KINDS)
+)
 def test_rollout_state_is_restored_as_it_was_saved(kind, tmp_path):
     """In a model that was trained otherwise since; the next random numbers are the same."""
 
