@@ -146,8 +146,6 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
         options, words = parser.parse_known_args(arguments)
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from error
-    if options.config_dir is not None and not Path(options.config_dir).is_dir():
-        raise ConfigError(f"--config-dir={options.config_dir} is not a directory")
     return options, [_as_override(word) for word in words]
 
 

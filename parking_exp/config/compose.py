@@ -84,12 +84,7 @@ def compose(*overrides: str, config_dir: str | Path | None = None) -> RunConfig:
         ConfigError: an override is wrong, the overrides define several runs, or there is no such
             directory.
     """
-    extra_config_dir = None
-    if config_dir is not None:
-        if not Path(config_dir).is_dir():
-            raise ConfigError(f"config_dir={config_dir} is not a directory")
-        extra_config_dir = str(config_dir)
-    runs = compose_configs("config", list(overrides), extra_config_dir)
+    runs = compose_configs("config", list(overrides), config_dir)
     if len(runs) > 1:
         raise ConfigError(
             f"these overrides define {len(runs)} runs, but compose() returns one; give one value "
@@ -99,14 +94,14 @@ def compose(*overrides: str, config_dir: str | Path | None = None) -> RunConfig:
 
 
 def compose_configs(
-    config_name: str, overrides: list[str], extra_config_dir: str | None = None
+    config_name: str, overrides: list[str], extra_config_dir: str | Path | None = None
 ) -> list[DictConfig]:
     """Compose the config of every run of a command line; see `compose_runs`."""
     return [run.config for run in compose_runs(config_name, overrides, extra_config_dir)]
 
 
 def compose_runs(
-    config_name: str, overrides: list[str], extra_config_dir: str | None = None
+    config_name: str, overrides: list[str], extra_config_dir: str | Path | None = None
 ) -> list[ComposedRun]:
     """Compose every run of a command line: one, or each point of a sweep.
 
@@ -116,7 +111,8 @@ def compose_runs(
         extra_config_dir: Hydra's `--config-dir`, a directory of the user's own options.
 
     Raises:
-        ConfigError: an override names no key or option, or the config does not compose.
+        ConfigError: an override names no key or option, the config does not compose, or there is no
+            such directory.
     """
     hydra_overrides = [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)]
     with hydra_ready():
@@ -273,11 +269,18 @@ OmegaConf.register_new_resolver("options", options_of, replace=True)
 OmegaConf.register_new_resolver("level", value_of_level, replace=True)
 
 
-def user_options(extra_config_dir: str | None) -> list[str]:
-    """Return the override that adds a user's folder of options to the search path, after ours."""
+def user_options(extra_config_dir: str | Path | None) -> list[str]:
+    """Return the override that adds a user's folder of options to the search path, after ours.
+
+    Raises:
+        ConfigError: there is no such folder.
+    """
     if extra_config_dir is None:
         return []
-    return [f"hydra.searchpath=[{in_quotes(str(Path(extra_config_dir).absolute()))}]"]
+    path = Path(extra_config_dir)
+    if not path.is_dir():
+        raise ConfigError(f"--config-dir={path} is not a directory")
+    return [f"hydra.searchpath=[{in_quotes(str(path.absolute()))}]"]
 
 
 @contextmanager

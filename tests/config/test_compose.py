@@ -149,7 +149,7 @@ def test_compose_takes_a_directory_of_the_users_own_options_for_that_call_only(t
         evaluation = compose(*words, config_dir=folder).evaluation
         assert (evaluation.n_scenes, evaluation.first_scene) == (value, 7)
     assert config_refusal("evaluation=long").startswith("evaluation=long")
-    with pytest.raises(ConfigError, match=r"^config_dir=nowhere is not a directory$"):
+    with pytest.raises(ConfigError, match=r"^--config-dir=nowhere is not a directory$"):
         compose("evaluation=long", config_dir="nowhere")
 
 
