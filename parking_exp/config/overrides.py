@@ -3,7 +3,6 @@
 import math
 import os
 import re
-import sys
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -62,19 +61,16 @@ def is_hydra_override(override: str) -> bool:
 
 def parse_overrides(overrides: Iterable[str]) -> list[Override]:
     """Parse overrides, within `hydra_ready`."""
-    lines = list(overrides)
     parser = OverridesParser.create(GlobalHydra.instance().config_loader())
-    try:
-        parsed = parser.parse_overrides(lines)
-    except ValueError as error:  # a number of thousands of digits, which Python does not read
-        long_lines = [line for line in lines if len(line) > sys.get_int_max_str_digits()]
-        keys = ", ".join(line.partition("=")[0] for line in long_lines)
-        raise ConfigError(f"{keys}: {first_line(error).partition(';')[0]}") from error
-    for override in parsed:
-        if not override.key_or_group:
-            raise ConfigError(
-                f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE"
-            )
+    parsed: list[Override] = []
+    for line in overrides:
+        try:
+            parsed += parser.parse_overrides([line])
+        except ValueError as error:  # a number of thousands of digits, which Python does not read
+            key = line.partition("=")[0]
+            raise ConfigError(f"{key}: {first_line(error).partition(';')[0]}") from error
+        if not parsed[-1].key_or_group:
+            raise ConfigError(f"{line}: there is no key before the equals sign; write KEY=VALUE")
     return parsed
 
 
