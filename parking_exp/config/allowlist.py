@@ -43,12 +43,10 @@ CLASSES = {
 ALLOWED = frozenset(f"{module}.{name}" for module, names in CLASSES.items() for name in names)
 
 
-def check_trust(config: RunConfig, source: Path, option: str = "trust=true") -> None:
+def check_trust(config: RunConfig, source: Path) -> None:
     """Refuse a stored config that would execute anything but the classes of the allow-list.
 
-    Args:
-        config: what the file `source` holds.
-        option: how a user allows it.
+    The config is what the file `source` holds.
 
     Raises:
         UntrustedError: a class or `_target_` is not on the list.
@@ -57,7 +55,7 @@ def check_trust(config: RunConfig, source: Path, option: str = "trust=true") -> 
     if unlisted is not None:
         raise UntrustedError(
             f"{unlisted} in {source} is not on the allow-list, and the run was not trained here; "
-            f"{option} allows it, if you trust its author"
+            "trust=true (in Python trust=True) allows it, if you trust its author"
         )
 
 

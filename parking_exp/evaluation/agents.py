@@ -120,13 +120,11 @@ def find_agent(
     model: ModelName = "final",
     *,
     trust: bool = False,
-    trust_option: str = "trust=true",
     key: str = "run",
 ) -> Agent:
     """Find a trained agent; arguments and errors are those of `load_model`.
 
-    For messages, `trust_option` is what the caller's user types to trust it, and `key` the key that
-    has its name.
+    Messages name `key`, the key that has its name.
     """
     if is_pretrained(run):
         return _find_pretrained(run, output_dir, model, key)
@@ -145,7 +143,7 @@ def find_agent(
             f"experiment={config.experiment_name}"
         )
     if not trust and not was_trained_here(directory.path):
-        check_trust(config, directory.path / CONFIG_FILE, trust_option)
+        check_trust(config, directory.path / CONFIG_FILE)
     return Agent(f"{model} model", config, weights, directory.path, directory)
 
 
@@ -191,7 +189,7 @@ def load_model(
     from parking_exp.tasks.registry import make_task
 
     folder = directory_path(output_dir)
-    agent = find_agent(run, folder, model, trust=trust, trust_option="trust=True")
+    agent = find_agent(run, folder, model, trust=trust)
     return agent.load(make_task(agent.config.env))
 
 

@@ -18,7 +18,8 @@ from parking_exp.sweeps.single_run import train
 OWN = (*QUICK, "algorithm._target_=support.user_algorithms.SavesExtraNetwork")
 REFUSAL = (
     r"^algorithm\._target_=support\.user_algorithms\.SavesExtraNetwork in .* is not on the "
-    r"allow-list, and the run was not trained here; {option} allows it, if you trust its author$"
+    r"allow-list, and the run was not trained here; trust=true \(in Python trust=True\) allows it, "
+    r"if you trust its author$"
 )
 
 
@@ -49,9 +50,9 @@ def test_runs_of_a_sweep_are_recorded_by_their_workers(tmp_path):
 def test_a_copy_from_elsewhere_is_refused_whatever_it_brings(trained, state_home, tmp_path):
     shutil.copytree(trained, tmp_path / "outputs")
     shutil.copytree(state_home, tmp_path / "outputs", dirs_exist_ok=True)
-    with pytest.raises(UntrustedError, match=REFUSAL.format(option="trust=true")):
+    with pytest.raises(UntrustedError, match=REFUSAL):
         evaluate_stored(only_run(tmp_path / "outputs").path)
-    with pytest.raises(UntrustedError, match=REFUSAL.format(option="trust=True")):
+    with pytest.raises(UntrustedError, match=REFUSAL):
         load_model("latest", tmp_path / "outputs")
     assert load_model("latest", tmp_path / "outputs", trust=True) is not None
 
