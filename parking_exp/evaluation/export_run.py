@@ -60,12 +60,12 @@ def export_runs(configs: Sequence[DictConfig]) -> None:
     """
     requests = [validate_export(config) for config in configs]
     exports = [_find_export(request) for request in requests]
-    files = [resolved(export.path) for export in exports]
-    for export, file in zip(exports, files, strict=True):
-        if files.count(file) > 1:
-            raise ConfigError(
-                f"path={export.path}: {files.count(file)} policies would be written to this file"
-            )
+    files = {resolved(export.path) for export in exports}
+    if len(files) < len(exports):
+        raise ConfigError(
+            "two of these policies would be written to one file; export them one by one, each with "
+            "a path of its own"
+        )
     for export in exports:
         _write(export)
 
