@@ -19,7 +19,7 @@ import hydra
 from omegaconf import OmegaConf
 
 from parking_exp.config.compose import VERSION_BASE, compose_configs, user_options
-from parking_exp.config.overrides import config_dir, to_hydra_syntax
+from parking_exp.config.overrides import config_dir
 from parking_exp.errors import (
     DISK_ERRORS,
     ConfigError,
@@ -67,7 +67,7 @@ def _run(config_name: str, command: Command, read: Callable[[list[str]], list[st
             "the working directory does not exist any more; change to one that does"
         ) from error
     options, words = _parse(sys.argv[1:])
-    overrides = [to_hydra_syntax(override) for override in read(words)]
+    overrides = read(words)
     if options.help:
         _print_help(config_name, user_options(options.config_dir))
     elif options.cfg:

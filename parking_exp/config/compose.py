@@ -114,10 +114,11 @@ def compose_runs(
         ConfigError: an override names no key or option, the config does not compose, or there is no
             such directory.
     """
-    hydra_overrides = [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)]
+    words = [to_hydra_syntax(word) for word in overrides]
+    hydra_overrides = [*user_options(extra_config_dir), *filter(is_hydra_override, words)]
     with hydra_ready():
         composer = _Composer(config_name, hydra_overrides)
-        axes = axes_of(to_hydra_syntax(line) for line in overrides if not is_hydra_override(line))
+        axes = axes_of(word for word in words if not is_hydra_override(word))
         experiments = axes.pop("experiment", None)
         if experiments is None:
             return _runs(composer, axes)
