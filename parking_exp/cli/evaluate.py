@@ -47,11 +47,26 @@ def sync_results(request: EvaluationRequest, directory: RunDirectory) -> None:
 def read_overrides(words: list[str]) -> list[str]:
     """Return words as overrides; `env.KEY` without `env` changes the env of the agent's training.
 
+    Raises as `_check_words`.
+    """
+    _check_words(words)
+    changed_sections = ["algorithm."]
+    if not any(word.startswith("env=") for word in words):
+        changed_sections.append("env.")
+    overrides = []
+    for word in words:
+        is_change = word.startswith(tuple(changed_sections))
+        overrides.append(f"++{word}" if is_change else word)
+    return overrides
+
+
+def _check_words(words: list[str]) -> None:
+    """Refuse words that an evaluation can't follow.
+
     Raises:
         ConfigError: a word sets a key of training, the observation (which is the agent's),
             `env.simulator` (`simulator` chooses it), or an env in place of an option.
     """
-    has_option = any(word.startswith("env=") for word in words)
     has_model_file = any(word.startswith("run=") and ".zip" in word for word in words)
     for word in words:
         key, _, value = word.lstrip("+~").partition("=")
@@ -69,11 +84,3 @@ def read_overrides(words: list[str]) -> list[str]:
             raise ConfigError(
                 f"{word}: choose an option by env=NAME, and change its keys by env.KEY=VALUE"
             )
-    changed_sections = ["algorithm."]
-    if not has_option:
-        changed_sections.append("env.")
-    overrides = []
-    for word in words:
-        is_change = word.startswith(tuple(changed_sections))
-        overrides.append(f"++{word}" if is_change else word)
-    return overrides

@@ -68,7 +68,9 @@ def show(request: StatusRequest) -> None:
         searches = _read_searches(request)
         if request.as_json:
             content = as_plain(states)
-            content["searches"] = [_describe_search(*search) for search in searches.items()]
+            content["searches"] = [
+                _describe_search(name, search) for name, search in searches.items()
+            ]
             say(*json.dumps(content, indent=2).split("\n"))
         else:
             if request.watch:

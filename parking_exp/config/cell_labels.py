@@ -21,7 +21,7 @@ from parking_exp.config.settings import (
 GROUPS = ("env", "algorithm", "buffer")
 EXPERIMENT = "experiment"
 LABEL = "label"
-FEW_CELLS = 5  # with fewer, values that all differ need not have been drawn from a range
+FEW_CELLS = 5  # fewer cells with different values are taken for a list, not for draws from a range
 
 
 @dataclass(frozen=True)

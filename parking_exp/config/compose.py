@@ -121,10 +121,10 @@ def compose_runs(
         axes = axes_of(word for word in words if not is_hydra_override(word))
         experiments = axes.pop("experiment", None)
         if experiments is None:
-            return _runs(composer, axes)
+            return _expand_runs(composer, axes)
         runs = []
         for name in experiments:
-            runs += _runs(composer, {"experiment": [name], **axes})
+            runs += _expand_runs(composer, {"experiment": [name], **axes})
         return runs
 
 
@@ -186,7 +186,7 @@ class _Composer:
         return ComposedRun(config, options=options, launcher=launcher, launcher_settings=settings)
 
 
-def _runs(composer: _Composer, axes: dict[str, list[str]]) -> list[ComposedRun]:
+def _expand_runs(composer: _Composer, axes: dict[str, list[str]]) -> list[ComposedRun]:
     """Compose every cell of an experiment with its first seed, then with its second, and so on."""
     experiment = [f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes]
     base = composer.compose(tuple(experiment)).cell_config
@@ -196,13 +196,7 @@ def _runs(composer: _Composer, axes: dict[str, list[str]]) -> list[ComposedRun]:
     if "seeds" in base:  # a report's cells are labels
         blocks = read_blocks(_container(base.cells))
 
-    seeds = _pop_seeds(axes, _container(base.get("seeds")))
-    is_swept = any("seed" in block for block in blocks)
-    if "seed" in axes or is_swept:
-        seeds = None
-    if len(axes.get("seed", [])) > 1 and not is_swept and all(map(str.isdecimal, axes["seed"])):
-        # A cell is composed once for all its seeds.
-        seeds = seeds_of([int(seed) for seed in axes.pop("seed")])
+    seeds = _pop_seeds(axes, blocks, _container(base.get("seeds")))
 
     def has(key: str, point: Point) -> bool:
         section, _, name = key.rpartition(".")
@@ -227,14 +221,21 @@ def _runs(composer: _Composer, axes: dict[str, list[str]]) -> list[ComposedRun]:
     return runs
 
 
-def _pop_seeds(axes: dict[str, list[str]], default: Any) -> list[int] | None:
-    """Remove `seeds` from the axes, and return the seeds that it, or else the config, defines."""
-    values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
-    if not values:
-        return seeds_of(default)
-    if len(values) == 1:
-        return seeds_of(values[0])
-    return seeds_of(values)
+def _pop_seeds(axes: dict[str, list[str]], blocks: list[Block], default: Any) -> list[int] | None:
+    """Remove the seeds that all cells share from the axes, and return them, or else the default.
+
+    None: each cell has the seed of its own config.
+    """
+    values = [yaml.safe_load(value) for value in axes.pop("seeds", [])] or [default]
+    seeds = seeds_of(values[0] if len(values) == 1 else values)
+    given = axes.get("seed", [])
+    is_swept = any("seed" in block for block in blocks)
+    if len(given) > 1 and not is_swept and all(map(str.isdecimal, given)):
+        # A cell is composed once for all its seeds.
+        return seeds_of([int(seed) for seed in axes.pop("seed")])
+    if given or is_swept:
+        return None
+    return seeds
 
 
 def _container(node: object) -> Any:
@@ -302,12 +303,12 @@ def hydra_ready() -> Iterator[None]:
     except (HydraException, OmegaConfBaseException, yaml.YAMLError) as error:
         if isinstance(error.__cause__, ParkingError):  # ours, wrapped by Hydra
             raise error.__cause__ from error
-        raise ConfigError(_sentence(error)) from error
+        raise ConfigError(_sentence_of_hydra(error)) from error
     finally:
         GlobalHydra.instance().hydra = outer
 
 
-def _sentence(error: Exception) -> str:
+def _sentence_of_hydra(error: Exception) -> str:
     """Return what Hydra, OmegaConf or YAML say in a line, and a name close to an unknown one."""
     if isinstance(error, OverrideParseException):
         return (

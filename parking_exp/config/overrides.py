@@ -103,7 +103,7 @@ def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
         if override.key_or_group == "label":
             # As the cells of an experiment have them, without escapes.
             labels = parse_overrides(f"label={numbers_as_text(value)}" for value in values)
-            values = [_label(label) for label in labels]
+            values = [_label_text(label) for label in labels]
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")
@@ -116,7 +116,7 @@ def _labels_as_text(override: str) -> str:
     return f"{key}={numbers_as_text(value)}" if has_labels else override
 
 
-def _label(override: Override) -> str:
+def _label_text(override: Override) -> str:
     label = override.value()
     if label is not None and not isinstance(label, str):
         raise ConfigError(f"{override.input_line}: a label is text; write \"label='...'\"")

@@ -79,7 +79,10 @@ def length_problems(run: RunConfig, longest: int) -> Iterator[str]:
 
 
 def task_problems(runs: Iterable[RunConfig]) -> Iterator[str]:
-    """Yield what is wrong with the environments; making each of them may take seconds."""
+    """Yield what is wrong with the tasks of runs, and with keys whose limits only a task knows.
+
+    Each task is made once, which may take seconds.
+    """
     tasks: dict[str, Task] = {}
     for run in runs:
         key = run.env.model_dump_json()

@@ -1,4 +1,4 @@
-"""Key of a run: a hash of the config keys that change its results."""
+"""Which config keys change the results of a run, and the hash of which its key is made."""
 
 import hashlib
 import json

@@ -235,8 +235,9 @@ class RunConfig(OutputConfig):
         algorithm = values.get("algorithm") if isinstance(values, Mapping) else None
         if not isinstance(algorithm, Mapping):
             return values
-        is_stored = algorithm.get("net_arch", []) is None
-        if algorithm.get("trained", True) and not is_stored:
+        # Stored configs have no `trained`.
+        is_marked_untrained = algorithm.get("net_arch", []) is None
+        if algorithm.get("trained", True) and not is_marked_untrained:
             return values
         own = {key: value for key, value in algorithm.items() if key not in DROPPED_IF_UNTRAINED}
         own.update(UNTRAINED)

@@ -1,4 +1,4 @@
-"""Settings: configs as flat dotted keys, their values as text, keys that can change a result."""
+"""Configs as flat dotted keys: flatten, write and read values, compare, fill in defaults."""
 
 import json
 from collections.abc import Hashable, Mapping, Sequence

@@ -81,11 +81,11 @@ def check_schema(model: type[Model], plain: Mapping[str, Any]) -> Model:
     try:
         return model.model_validate(plain)
     except ValidationError as error:
-        raise_problems(_sentence(item, model) for item in error.errors())
+        raise_problems(_sentence_of_pydantic(item, model) for item in error.errors())
         raise
 
 
-def _sentence(error: Any, model: type[BaseModel]) -> str:
+def _sentence_of_pydantic(error: Any, model: type[BaseModel]) -> str:
     """Say what is wrong with a value: an item of `ValidationError.errors()`."""
     # Pydantic adds the task to keys of `env`.
     key = ".".join(str(part) for part in error["loc"] if part not in TASKS)

@@ -19,7 +19,7 @@ KEYS_LEFT_OUT = ({*RunConfig.model_fields} | SWEEP_KEYS) - {
     "output_dir",
     "tracking",
 }
-"""Keys of a run that an evaluation leaves out; an option of `env` may set them."""
+"""Keys of a run. Options of `env` may set them for training; an evaluation ignores them."""
 DEFAULT_EPISODES = 100
 PRETRAINED_EPISODES = 20  # the cards of pretrained agents have the rates of 500
 

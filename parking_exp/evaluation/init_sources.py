@@ -51,7 +51,8 @@ def _source_path(init: str, output_path: Path) -> str:
         try:
             folder = find_agent(init, output_path, trust=True, key="init").folder
         except RunNotFoundError:
-            # A run that has begun does not need its source, which may have been deleted.
+            # A path is accepted even if nothing is there: a run that has begun does not need its
+            # source any more.
             if not (Path(init).is_absolute() or folder.is_relative_to(output_path)):
                 raise
     return relative_path(folder, output_path)
