@@ -72,7 +72,7 @@ COLUMNS = {
     "to_90": (
         "steps to 90 %",
         lambda cell: (
-            formats.number(cell.survival.median) or f"{cell.survival.k} of {cell.survival.n} seeds"
+            formats.number(cell.steps_to_90) or f"{cell.n_reached_90} of {cell.n_timed} seeds"
         ),
     ),
     "cpu_s": ("CPU-s", lambda cell: formats.number(cell.cpu_s.value)),
@@ -116,7 +116,7 @@ class Experiment:
 
     def cpu_s_to_90(self, label: str) -> str:
         """Return the median CPU seconds of a cell's runs to 90 %."""
-        return formats.number(self.cell(label).median_cpu_s)
+        return formats.number(self.cell(label).cpu_s_to_90)
 
     def ending_at(self, label: str, threshold: float) -> str:
         """Return how many seeds of a cell end at a success or above: `99/100`."""
@@ -176,8 +176,8 @@ class Experiment:
         times = []
         for seed in self.cell(label).seeds:
             curve = curves[seed.run_id]
-            cpu_s, reached = steps_to(curve["cpu_s"], curve["success_rate"], 0.95)
-            times.append(cpu_s if reached else np.inf)
+            cpu_s = steps_to(curve["cpu_s"], curve["success_rate"], 0.95)
+            times.append(np.inf if cpu_s is None else cpu_s)
         return np.array(times)
 
     def _pair(self, first: str, second: str) -> Pair:

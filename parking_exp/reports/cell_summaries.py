@@ -18,7 +18,6 @@ from parking_exp.statistics import (
     coverage_note,
     finite_or_none,
     interquartile_mean,
-    kaplan_meier,
     mean_interval,
     normalised_area,
     steps_to,
@@ -150,18 +149,16 @@ def _measure_curve(curve: pd.DataFrame | None) -> dict[str, Any]:
         return {}
     steps = curve["step"].to_numpy()
     success = curve["success_rate"].to_numpy()
-    area = normalised_area(steps, success) if len(steps) > 1 else None
-    if len(steps) < HOLD:
-        return {"area": area}
-
-    time, is_reached = steps_to(steps, success, SUCCESS_THRESHOLD, HOLD)
-    cpu_s = finite_or_none(curve["cpu_s"].iloc[np.searchsorted(steps, time)])
-    return {
-        "steps_to_90": time,
-        "reached_90": is_reached,
-        "cpu_s_to_90": cpu_s if is_reached else None,
-        "area": area,
-    }
+    fields: dict[str, Any] = {}
+    if len(steps) > 1:
+        fields["area"] = normalised_area(steps, success)
+    if len(steps) >= HOLD:
+        step = steps_to(steps, success, SUCCESS_THRESHOLD, HOLD)
+        fields["reached_90"] = step is not None
+        if step is not None:
+            cpu_s = curve["cpu_s"].iloc[np.searchsorted(steps, step)]
+            fields |= {"steps_to_90": step, "cpu_s_to_90": finite_or_none(cpu_s)}
+    return fields
 
 
 def _average_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
@@ -191,16 +188,20 @@ def _average_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | 
 
 def _measure_time_to_90(seeds: Sequence[RunSummary]) -> dict[str, Any]:
     """Return the fields of a cell about the time to 90 %."""
-    timed = [seed for seed in seeds if seed.steps_to_90 is not None]
-    if not timed:
-        return {}
-    steps = [seed.steps_to_90 or 0.0 for seed in timed]
-    cpu_s = sorted(seed.cpu_s_to_90 for seed in timed if seed.cpu_s_to_90 is not None)
-    middle = (len(timed) - 1) // 2
+    timed = [seed for seed in seeds if seed.reached_90 is not None]
     return {
-        "survival": kaplan_meier(steps, [seed.reached_90 for seed in timed]),
-        "median_cpu_s": cpu_s[middle] if middle < len(cpu_s) else None,
+        "n_timed": len(timed),
+        "n_reached_90": sum(bool(seed.reached_90) for seed in timed),
+        "steps_to_90": _median_time([seed.steps_to_90 for seed in timed]),
+        "cpu_s_to_90": _median_time([seed.cpu_s_to_90 for seed in timed]),
     }
+
+
+def _median_time(times: Sequence[float | None]) -> float | None:
+    """Return the time by which half of the seeds are there, of which some (None) never are."""
+    known = sorted(time for time in times if time is not None)
+    middle = (len(times) - 1) // 2
+    return known[middle] if 0 <= middle < len(known) else None
 
 
 def _summarise_task(

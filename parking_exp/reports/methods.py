@@ -8,7 +8,7 @@ from parking_exp.tasks.registry import task_reports
 
 REFERENCES = (
     "Clopper & Pearson, Biometrika 26 (1934). Fisher, The Design of Experiments (1935). Mann & "
-    "Whitney, Ann. Math. Stat. 18 (1947). Kaplan & Meier, J. Am. Stat. Assoc. 53 (1958). Rubin, "
+    "Whitney, Ann. Math. Stat. 18 (1947). Rubin, "
     "Ann. Stat. 9 (1981), on the Bayesian bootstrap. Pagano & Tritchler, J. Am. Stat. Assoc. 78 "
     "(1983), on exact permutation tests. Walley, J. R. Stat. Soc. B 58 (1996). Zou & Donner, Stat. "
     "Med. 27 (2008), on intervals of differences. Agarwal et al., NeurIPS (2021), on the "
@@ -50,10 +50,10 @@ def describe_methods(report: ReportData) -> Iterator[str]:
             "“unclear” where only one of test and interval finds a difference. As a second "
             "opinion, tables have Mann and Whitney's test of ranks, with the same correction."
         )
-    if any(cell.survival for cell in report.cells):
+    if any(cell.n_timed for cell in report.cells):
         yield (
             "Time to 90 %: the first step from which three evaluations in a row had 90 % success "
-            "or more. Seeds that do not reach it are right-censored: shares are Kaplan and Meier's."
+            "or more. Its median is over all seeds, also those that do not reach it."
         )
     if report.effects:
         yield (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from parking_exp.config.cell_labels import Factor
 from parking_exp.config.settings import Setting
-from parking_exp.statistics import Difference, Interval, MainEffect, SurvivalCurve
+from parking_exp.statistics import Difference, Interval, MainEffect
 from parking_exp.tasks.registry import FAILURES
 
 if TYPE_CHECKING:
@@ -31,10 +31,9 @@ class RunSummary:
     metrics: Mapping[str, float | None]  # by their names in reports
     n_episodes: int | None
     cpu_s: float | None
-    # First env step from which 90 % were held, or the last from which they could have been.
-    steps_to_90: float | None = None
-    reached_90: bool = False
-    cpu_s_to_90: float | None = None  # None where they were not held
+    reached_90: bool | None = None  # whether 90 % were held; None with too few evaluations
+    steps_to_90: float | None = None  # first env step from which they were held
+    cpu_s_to_90: float | None = None
     area: float | None = None  # under the learning curve
 
     @property
@@ -74,9 +73,11 @@ class CellSummary:
     iqm: float | None = None  # interquartile mean of the seeds' success
     reaching_95: int | None = None  # seeds that end at 95 % or above
     seeds: Sequence[RunSummary] = ()
-    curve: Curve | None = None  # None without evaluations during training, as `survival`
-    survival: SurvivalCurve | None = None  # of the env steps until 90 % are held
-    median_cpu_s: float | None = None  # to 90 %; None where fewer than half of the seeds reach it
+    curve: Curve | None = None  # None without evaluations during training
+    n_timed: int = 0  # seeds with enough evaluations to tell whether they held 90 %
+    n_reached_90: int = 0  # those of them that did
+    steps_to_90: float | None = None  # median; None where fewer than half of the seeds reach it
+    cpu_s_to_90: float | None = None
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
     figure_data: Any = None  # what figures of its task show beside that; not in `report.json`
     note: str | None = None  # a sentence about an interval that is too narrow or missing

@@ -96,7 +96,7 @@ SECTIONS = (
         "time",
         "Time to 90 %",
         figures=[SectionFigure("time_to_90", "Time to 90 %", draw_time_to_90)],
-        tables=[report_tables.times_table, report_tables.survival_table],
+        tables=[report_tables.times_table],
     ),
     Section(
         "pairs",

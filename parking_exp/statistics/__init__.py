@@ -1,4 +1,4 @@
-"""Statistics of runs: intervals, comparisons, effects, survival.
+"""Statistics of runs: intervals, comparisons, effects, learning curves.
 
 Functions are pure, without I/O; intervals are at 95 %.
 
@@ -14,8 +14,6 @@ from parking_exp.statistics.comparisons import (
 from parking_exp.statistics.effects import MainEffect, main_effects
 from parking_exp.statistics.intervals import Interval, coverage_note
 from parking_exp.statistics.learning_curves import (
-    SurvivalCurve,
-    kaplan_meier,
     normalised_area,
     ratio_of_times,
     steps_to,
@@ -34,12 +32,10 @@ __all__ = [
     "Interval",
     "MainEffect",
     "SeedRates",
-    "SurvivalCurve",
     "compare",
     "coverage_note",
     "finite_or_none",
     "interquartile_mean",
-    "kaplan_meier",
     "main_effects",
     "mean_interval",
     "normalised_area",

@@ -118,13 +118,15 @@ def test_learning_curves_have_means_and_every_seed(three):
     assert texts(legend.texts) == ["sac", "td3", "ddpg"]
 
 
-def test_time_to_90_has_finished_and_unfinished_seeds(three):
+def test_time_to_90_has_the_share_of_seeds_after_each_that_reaches_it(three):
     (axes,) = axes_of(cell_figures.draw_time_to_90, three)
     cell = three.cells[1]
-    share, censored = lines(axes, "c1")
-    assert share.get_xdata()[1:-1] == pytest.approx(cell.survival.times)
-    assert share.get_ydata()[1:-1] == pytest.approx(100 * np.array(cell.survival.reached))
-    assert len(censored.get_xdata()) == cell.survival.n - cell.survival.k
+    (share,) = lines(axes, "c1")
+    steps = sorted(seed.steps_to_90 for seed in cell.seeds if seed.reached_90)
+    assert 0 < len(steps) < cell.n_timed == 10
+    assert share.get_xdata() == pytest.approx([0, *steps, cell.curve.step[-1]])
+    shares = [10 * n for n in range(len(steps) + 1)]
+    assert share.get_ydata() == pytest.approx([*shares, shares[-1]])
 
 
 def test_pairs_are_differences_between_all_cells_or_from_the_baseline(three):

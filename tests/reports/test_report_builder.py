@@ -234,13 +234,13 @@ def test_runs_of_different_lengths_have_curves_as_far_as_they_go():
     assert (short.curve.step[-1], long.curve.step[-1]) == (400, 800)
 
 
-def test_time_to_90_percent_is_censored_where_it_was_not_held():
+def test_time_to_90_percent_is_unknown_where_it_was_not_held():
     runs = by_seed(Run(curve=[1 / 3, 1.0, 1.0, 1.0]), Run(curve=[0.0, 1.0, 1 / 3, 1.0]))
     (cell,) = content({"sac": {}}, [0, 1], runs).cells
     times = [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds]
-    assert times == [(200, True), (200, False)]
-    assert (cell.survival.k, cell.survival.n, cell.survival.median) == (1, 2, 200)
-    assert cell.median_cpu_s == 150.0
+    assert times == [(200, True), (None, False)]
+    assert (cell.n_reached_90, cell.n_timed, cell.steps_to_90) == (1, 2, 200)
+    assert cell.cpu_s_to_90 == 150.0
     assert cell.seeds[0].area == pytest.approx((2 / 3 + 1 + 1) / 3)
     assert cell.area.low < cell.area.value < cell.area.high
     (perfect,) = content({"sac": {}}, [0, 1], by_seed(*[Run(curve=[1.0] * 4)] * 2)).cells
@@ -249,7 +249,19 @@ def test_time_to_90_percent_is_censored_where_it_was_not_held():
 
 def test_fewer_than_three_evaluations_say_nothing_of_the_time_to_90_percent():
     (cell,) = content({"sac": {}}, [0], by_seed(Run(curve=[0.5, 1.0]))).cells
-    assert (cell.seeds[0].steps_to_90, cell.survival, cell.seeds[0].area) == (None, None, 0.75)
+    (seed,) = cell.seeds
+    assert (seed.reached_90, seed.steps_to_90, seed.area) == (None, None, 0.75)
+    assert (cell.n_timed, cell.steps_to_90) == (0, None)
+
+
+def test_a_median_time_needs_half_of_the_seeds():
+    held = Run(curve=[0.0, 1.0, 1.0, 1.0, 1.0])
+    later = Run(curve=[0.0, 0.0, 1.0, 1.0, 1.0])
+    never = Run(curve=[0.0] * 5)
+    (cell,) = content({"sac": {}}, range(4), by_seed(never, later, held, never)).cells
+    assert cell.steps_to_90 == 240
+    (cell,) = content({"sac": {}}, range(3), by_seed(never, held, never)).cells
+    assert (cell.n_reached_90, cell.steps_to_90, cell.cpu_s_to_90) == (1, None, None)
 
 
 def test_unfinished_runs_are_missing_and_quick_shows_their_curves():

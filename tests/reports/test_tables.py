@@ -57,7 +57,6 @@ def test_tables_have_every_number(tmp_path):
         "pairs": 19,
         "curves": 400,
         "times": 20,
-        "survival": sum(len(cell.survival.times) for cell in report.cells),
         "factors": 2,
         "effects": 9,
         "slots": 540,
@@ -108,7 +107,7 @@ def test_unknown_numbers_are_empty(tmp_path):
     tables = written(replace(report, cells=[report.cells[0], odd, report.cells[2]]), tmp_path)
     rows = tables["headline"]
     assert [rows[1][name] for name in ("cpu_s", "cpu_s_low", "cpu_s_high")] == ["", "", ""]
-    empty = ("success", "success_low", "survival_median", "lowest", "iqm", "reaching_95")
+    empty = ("success", "success_low", "steps_to_90", "lowest", "iqm", "reaching_95")
     assert [rows[2][name] for name in empty] == [""] * len(empty)
     assert (rows[2]["runs_failed"], rows[0]["reaching_95"]) == ("10", "10")
     failed = [

@@ -18,7 +18,6 @@ from parking_exp.statistics import (
     compare,
     coverage_note,
     interquartile_mean,
-    kaplan_meier,
     main_effects,
     mean_interval,
     normalised_area,
@@ -29,11 +28,6 @@ from parking_exp.statistics import (
 )
 from parking_exp.statistics.permutation import permutation_p
 
-# Freireich et al. 1963, weeks of remission with 6-MP, as in Klein & Moeschberger.
-MERCAPTOPURINE = (
-    [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35],
-    [1, 1, 1, 0, 1, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0],
-)
 TEN = [0.93, 0.97, 0.88, 1.0, 0.95, 0.91, 0.99, 0.96, 0.72, 0.94]
 
 EPISODES = st.sampled_from([None, 100])
@@ -229,28 +223,10 @@ def test_a_pair_with_a_single_seed_has_neither_interval_nor_p_and_is_no_part_of_
 
 def test_steps_to_is_the_first_of_three_evaluations_that_hold():
     steps = [0, 10, 20, 30, 40, 50, 60]
-    assert steps_to(steps, [0, 0.9, 0.95, 0.8, 0.9, 0.9, 1.0]) == (40.0, True)
-    assert steps_to(steps, [0, 0.9, 0.95, math.nan, 0.9, 0.9, 0.1]) == (40.0, False)
-    assert steps_to(steps[:2], [1.0, 1.0]) == (0.0, False)
-    assert steps_to(steps[:2], [0.0, 1.0], hold=1) == (10.0, True)
-
-
-def test_kaplan_meier_agrees_with_the_leukaemia_table():
-    curve = kaplan_meier(*MERCAPTOPURINE)
-    reached = dict(zip(curve.times, curve.reached, strict=True))
-    published = {
-        6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690,
-        16: 0.627, 22: 0.538, 23: 0.448, 35: 0.448,
-    }  # fmt: skip
-    assert {time: round(1 - reached[time], 3) for time in published} == published
-    assert (curve.median, curve.n, curve.k) == (23.0, 21, 9)
-
-
-def test_kaplan_meier_where_no_run_or_all_have_reached():
-    never = kaplan_meier([50, 50, 50], [False] * 3)
-    assert (never.reached, never.median) == ((0.0,), None)
-    curve = kaplan_meier([10, 20, 30], [True] * 3)
-    assert (curve.reached[2], curve.median) == (1.0, 20.0)
+    assert steps_to(steps, [0, 0.9, 0.95, 0.8, 0.9, 0.9, 1.0]) == 40.0
+    assert steps_to(steps, [0, 0.9, 0.95, math.nan, 0.9, 0.9, 0.1]) is None
+    assert steps_to(steps[:2], [1.0, 1.0]) is None
+    assert steps_to(steps[:2], [0.0, 1.0], hold=1) == 10.0
 
 
 def test_the_ratio_of_times_is_the_median_of_all_pairs_between_the_third_of_25_from_each_end():

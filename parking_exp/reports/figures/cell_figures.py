@@ -22,7 +22,6 @@ from parking_exp.figure_style import (
 from parking_exp.phrases import plural
 from parking_exp.report_section import CaptionedFigure
 from parking_exp.reports.report_data import CellSummary, Curve, ReportData
-from parking_exp.statistics import SurvivalCurve
 from parking_exp.tasks.registry import FAILURES
 
 _GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are spread evenly
@@ -137,32 +136,23 @@ def _new_figure_with_legend(height: float, cells: Sequence[CellSummary]) -> Figu
 
 def draw_time_to_90(report: ReportData) -> Iterator[CaptionedFigure]:
     """Draw the share of seeds that have reached 90 %, by env steps."""
-    cells = [cell for cell in report.shown_cells if cell.survival]
-    curves = [cell.survival for cell in cells if cell.survival]
-    if not any(curve.k for curve in curves):
+    cells = [cell for cell in report.shown_cells if cell.n_timed]
+    if not any(cell.n_reached_90 for cell in cells):
         return
     figure = _new_figure_with_legend(2.4, cells)
     axes = figure.subplots()
-    for cell, curve in zip(cells, curves, strict=True):
-        _draw_survival(axes, cell, curve)
+    for cell in cells:
+        assert cell.curve
+        steps = sorted(seed.steps_to_90 for seed in cell.seeds if seed.steps_to_90 is not None)
+        shares = 100 * np.arange(len(steps) + 1) / cell.n_timed
+        last = cell.curve.step[-1]
+        line = cell_style(cell.id).lines
+        axes.step([0, *steps, last], [*shares, shares[-1]], where="post", **line)
     axes.set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
     time_axis(axes, "env steps")
-    n_seeds = _count_seeds([curve.n for curve in curves])
+    n_seeds = _count_seeds([cell.n_timed for cell in cells])
     yield (
         figure,
-        "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier "  # noqa: RUF001
-        f"estimate; {n_seeds}). Crosses (+): seeds not there when their observation ended.",
+        "Share of seeds whose success has reached 90 % in three evaluations in a row, of all seeds "
+        f"({n_seeds}).",
     )
-
-
-def _draw_survival(axes: Axes, cell: CellSummary, curve: SurvivalCurve) -> None:
-    style = cell_style(cell.id)
-    censored = []
-    for seed in cell.seeds:
-        if seed.steps_to_90 is not None and not seed.reached_90:
-            censored.append(seed.steps_to_90)
-    time = [0.0, *curve.times, max([*curve.times, *censored])]
-    share = percentages([0.0, *curve.reached, curve.reached[-1]])
-    axes.step(time, share, where="post", **style.lines)
-    at = np.searchsorted(curve.times, censored)
-    axes.plot(censored, share[at + 1], linestyle="", marker="+", markersize=6, color=style.colour)

@@ -3,7 +3,7 @@
 Each function yields what it has; columns of rows are those of `tables/*.csv`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -12,7 +12,7 @@ import pandas as pd
 from parking_exp.config.settings import display_setting
 from parking_exp.report_section import Column, Row, Table, cell_row
 from parking_exp.reports import formats
-from parking_exp.reports.report_data import CellSummary, ReportData
+from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.reported_metrics import ReportedMetric, reported_metrics
 from parking_exp.reports.tables.table import (
     PERCENT,
@@ -50,7 +50,7 @@ def headline_table(report: ReportData) -> Iterator[Table]:
         ),
         Column(
             "Steps to hold 90 %",
-            "survival_median",
+            "steps_to_90",
             formats.number,
             note="median of the env steps until 90 % were held for three evaluations",
         ),
@@ -87,15 +87,15 @@ def means_table(report: ReportData) -> Iterator[Table]:
 
 def times_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of how long each cell took to hold 90 %, and of the area under its curve."""
-    rows = [row for row in _list_cell_rows(report) if "survival_n" in row]
+    rows = [row for row in _list_cell_rows(report) if row["n_timed"]]
     yield Table(
         "times",
         rows,
         [
             cell_column(),
-            Column("Reached", "survival_k", of_row=_count_reached),
-            Column("Median (steps)", "survival_median", formats.number),
-            Column("Median (CPU-s)", "median_cpu_s", formats.number),
+            Column("Reached", "n_reached_90", of_row=_count_reached),
+            Column("Median (steps)", "steps_to_90", formats.number),
+            Column("Median (CPU-s)", "cpu_s_to_90", formats.number),
             interval_column("AUC (%)", "area"),
         ],
         "Time until three evaluations in a row have 90 %, with medians where half of the seeds "
@@ -114,7 +114,7 @@ def seeds_table(report: ReportData) -> Iterator[Table]:
         columns.append(Column(rate.heading, rate.name, formats.percent))
     columns += [
         Column("Episodes", "n_episodes", formats.number, given=True),
-        Column("Steps to 90 %", "steps_to_90", of_row=_write_steps_to_90),
+        Column("Steps to 90 %", "steps_to_90", formats.number),
         Column("CPU (s)", "cpu_s", formats.number),
         text_column("Run", "run_id"),
     ]
@@ -136,37 +136,20 @@ def curves_table(report: ReportData) -> Iterator[Table]:
     rows: list[Row] = []
     for cell in report.cells:
         curve = cell.curve
-        if curve:
-            rows += _list_points(
-                cell,
-                step=curve.step,
-                n=curve.n,
-                success=curve.mean,
-                success_low=curve.low,
-                success_high=curve.high,
-                failure=curve.failure,
-            )
+        if curve is None:
+            continue
+        points: Any = pd.DataFrame(
+            {
+                "step": curve.step,
+                "n": curve.n,
+                "success": curve.mean,
+                "success_low": curve.low,
+                "success_high": curve.high,
+                "failure": curve.failure,
+            }
+        )
+        rows += [cell_row(cell) | point for point in points.to_dict("records")]
     yield Table("curves", rows)
-
-
-def survival_table(report: ReportData) -> Iterator[Table]:
-    """Yield the CSV of Kaplan and Meier's estimate of the env steps to 90 %."""
-    rows: list[Row] = []
-    for cell in report.cells:
-        curve = cell.survival
-        if curve:
-            rows += _list_points(
-                cell,
-                step=curve.times,
-                reached=curve.reached,
-            )
-    yield Table("survival", rows)
-
-
-def _list_points(cell: CellSummary, **numbers: Sequence[Any]) -> list[Row]:
-    """Return a row for each point of a curve."""
-    points: Any = pd.DataFrame(numbers).to_dict("records")
-    return [cell_row(cell) | point for point in points]
 
 
 def pairs_table(report: ReportData) -> Iterator[Table]:
@@ -368,9 +351,4 @@ def _count_reaching_95(row: Row) -> str:
 
 
 def _count_reached(row: Row) -> str:
-    return f"{row['survival_k']}/{row['survival_n']}"
-
-
-def _write_steps_to_90(row: Row) -> str:
-    steps = formats.number(row["steps_to_90"])
-    return f"> {steps}" if steps and not row["reached_90"] else steps
+    return f"{row['n_reached_90']}/{row['n_timed']}"

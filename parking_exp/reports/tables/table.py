@@ -1,7 +1,7 @@
 """Columns and rows of the tables of reports."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from parking_exp.figure_style import clean
@@ -35,11 +35,11 @@ def move_constants_to_caption(table: Table) -> Table:
     return replace(table, columns=columns, caption=caption)
 
 
-def row_of(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
+def row_of(item: Any, without: Collection[str] = ()) -> dict[str, Any]:
     """Return the fields of a dataclass, or entries of a mapping, as columns of a row.
 
-    An interval becomes NAME, NAME_low and NAME_high; another dataclass one column for each field,
-    NAME_FIELD. Lists and mappings are left out.
+    An interval becomes NAME, NAME_low and NAME_high. Everything else that is no single value is
+    left out.
     """
     row: dict[str, Any] = {}
     entries = item if isinstance(item, Mapping) else vars(item)
@@ -47,11 +47,9 @@ def row_of(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dic
         if name in without:
             continue
         if isinstance(value, Interval):
-            row |= spread(prefix + name, value)
-        elif is_dataclass(value):
-            row |= row_of(value, f"{prefix}{name}_")
+            row |= spread(name, value)
         elif isinstance(value, str | int | float | None):
-            row[prefix + name] = value
+            row[name] = value
     return row
 
 
