@@ -88,7 +88,7 @@ def group_runs(runs: pd.DataFrame) -> list[CellRuns]:
 def _make_cell(rows: pd.DataFrame) -> CellRuns:
     """Return the cell of some runs in the order in which they were begun."""
     configs = rows.filter(regex=r"^config\.")
-    newest = rows.drop(columns=configs.columns).sort_values(["seed", "is_done"], kind="stable")
+    newest = rows.sort_values(["seed", "is_done"], kind="stable")
     return CellRuns(
         experiment=str(rows["experiment"].iloc[0]),
         name=str(rows["cell"].iloc[0]),

@@ -29,6 +29,7 @@ from parking_exp.tasks.registry import FAILURES, task_reports
 SUCCESS_THRESHOLD = 0.9
 RELIABLE = 0.95  # final success of a seed
 HOLD = 3  # evaluations in a row
+FINAL_EPISODES = "config.evaluation.final_n_scenes"  # column of runs; damaged configs lack it
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _summarise_run(
     metrics = {metric.name: finite_or_none(run[metric.column]) for metric in reported}
     run_id = run["run_id"]
     run_dir = run["run_dir"] if isinstance(run["run_dir"], str) else None
-    n_episodes = len(evaluations.final.get(run_id, ())) or _to_int(run["n_scenes"])
+    n_episodes = len(evaluations.final.get(run_id, ())) or _to_int(run.get(FINAL_EPISODES))
     return RunSummary(
         seed=int(run["seed"]),
         run_id=run_id,

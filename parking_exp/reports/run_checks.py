@@ -8,7 +8,7 @@ import pandas as pd
 
 from parking_exp.phrases import quoted_label
 from parking_exp.reports.cell_selection import CellRuns
-from parking_exp.reports.cell_summaries import RunEvaluations
+from parking_exp.reports.cell_summaries import FINAL_EPISODES, RunEvaluations
 from parking_exp.results.frames import Results
 from parking_exp.statistics import finite_or_none
 
@@ -53,7 +53,7 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
         for run in cell.done.to_dict("records"):
             seed = run["seed"]
             episodes = evaluations.final.get(run["run_id"])
-            n_expected = finite_or_none(run["n_scenes"]) or 0  # none if a config is damaged
+            n_expected = finite_or_none(run.get(FINAL_EPISODES)) or 0
             if episodes is None or len(episodes) < n_expected:
                 without_outcomes.append(seed)
             elif _contradicts(run["success_rate"], episodes["outcome"]):

@@ -7,15 +7,12 @@
 
 `runs` has one row per run, by experiment, cell and seed:
 
-    run_id, name            str       MLflow run id; run name, without the rate in front of it
+    run_id                  str       of MLflow
     experiment, cell        str       what it belongs to
     run_key                 str       hash of all that can change its result
     seed                    int64
     status                  category  done, running, failed, interrupted: in the store
     error                   str       why it failed, in one line; missing for others
-    total_timesteps         Int64     env steps, as configured
-    n_scenes, first_scene   Int64     episodes of the final evaluation; their first seed
-    eval_n_scenes           Int64     episodes of evaluations during training
     steps                   int64     env steps trained, as far as the store knows
     success_rate            float64   of the final model, over all its episodes
     timeout_rate            float64   the same; NaN, as all of these, unless the run is done

@@ -1,6 +1,5 @@
 """Load the results of runs from an MLflow store."""
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -36,23 +35,16 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 STATUSES = ("done", "running", "failed", "interrupted")
-# Keys of the config and metrics, and their columns.
-CONFIGURED = {
-    "total_timesteps": "total_timesteps",
-    "evaluation.final_n_scenes": "n_scenes",
-    "evaluation.first_scene": "first_scene",
-    "evaluation.n_scenes": "eval_n_scenes",
-}
+# Metrics and their columns.
 FINAL = {f"final/{metric.key}": metric.run_column for metric in METRICS}
 COST = {"time/cpu_s": "cpu_s", "time/wall_s": "wall_s"}
 
 TEXT: Any = "str" if int(pd.__version__.partition(".")[0]) >= 3 else object
 RUN_TYPES: dict[str, Any] = {
-    **dict.fromkeys(("run_id", "name", "experiment", "cell", "run_key"), TEXT),
+    **dict.fromkeys(("run_id", "experiment", "cell", "run_key"), TEXT),
     "seed": "int64",
     "status": pd.CategoricalDtype([*STATUSES]),
     "error": TEXT,
-    **dict.fromkeys(CONFIGURED.values(), "Int64"),
     "steps": "int64",
     **dict.fromkeys([*FINAL.values(), *COST.values()], "float64"),
     **dict.fromkeys(("started", "ended"), "datetime64[ms, UTC]"),
@@ -63,7 +55,6 @@ RUN_TYPES: dict[str, Any] = {
 """Columns of `runs` before metrics of users, versions and config, and their types."""
 
 DOWNLOADS_AT_ONCE = 16
-RATE = re.compile(r"^\d+\.\d% ")  # in front of the names of finished runs
 TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 """Tags of every run of this package; other runs are ignored."""
 TAG_COLUMNS = ("cell", "run_key", "seed", "status", "error", "git_commit", "git_dirty", "cpu")
@@ -212,7 +203,6 @@ def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) ->
     runs = pd.concat([tags.reindex(columns=[*TAG_COLUMNS]), numbers], axis=1)
     runs[["run_id", "artifact_uri"]] = infos[["run_id", "artifact_uri"]]
     runs["experiment"] = infos["experiment_id"].map({value: name for name, value in ids.items()})
-    runs["name"] = infos["run_name"].fillna("").str.replace(RATE, "", regex=True)
     runs["error"] = runs["error"].replace("", None)
     runs["git_dirty"] = runs["git_dirty"].map({"true": True, "false": False})
     run_dirs = pd.Series([store.run_dir(run) for run in stored], dtype=object)
@@ -231,20 +221,10 @@ def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) ->
 def _with_configs(runs: pd.DataFrame, configs: Mapping[str, FlatConfig]) -> pd.DataFrame:
     """Return runs with the columns of their configs, which are given by run id."""
     rows = [configs.get(run_id, {}) for run_id in runs["run_id"]]
-    for key, column in CONFIGURED.items():
-        counts = [_count(row.get(key)) for row in rows]
-        runs[column] = pd.Series(counts, dtype="Int64")
     columns = {}
     for key in sorted(set().union(*rows)):
         columns[f"config.{key}"] = setting_column([row.get(key) for row in rows])
     return pd.concat([runs, pd.DataFrame(columns)], axis=1)
-
-
-def _count(value: Setting) -> int | None:
-    """Return a setting that counts steps or episodes; files of others may have anything."""
-    if isinstance(value, int) and 0 <= value < 2**63:
-        return value
-    return None
 
 
 def _make_points(logs: Mapping[str, Sequence[Mapping[str, Any]]]) -> pd.DataFrame:

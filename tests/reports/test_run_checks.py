@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from support.result_frames import Run, results
 
@@ -34,7 +33,7 @@ def test_a_stored_rate_that_contradicts_the_outcomes_is_named():
 
 def test_a_number_of_episodes_that_is_not_known_is_no_problem():
     frames = of_seeds(Run(), Run(success=0.6))
-    unknown = frames.runs.assign(n_scenes=pd.array([pd.NA, pd.NA], dtype="Int64"))
+    unknown = frames.runs.drop(columns="config.evaluation.final_n_scenes")
     assert warnings_of(replace(frames, runs=unknown)) == []
 
 

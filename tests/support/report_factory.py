@@ -58,7 +58,6 @@ def with_failed_cell():
         status="failed",
         error="FloatingPointError: loss is nan",
         curve=(),
-        columns={"n_scenes": N_SCENES},
     )
     return report(3, 10, look=lambda label, run: failed if label == "2" else run)
 

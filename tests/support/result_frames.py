@@ -107,7 +107,6 @@ def _row(number, run, run_id, experiment, label, seed, config):
         "seed": seed,
         "status": run.status,
         "error": run.error,
-        "n_scenes": config["evaluation.final_n_scenes"],
         **metrics,
         "cpu_s": run.cpu_s,
         "started": pd.Timestamp("2026-11-01", tz="UTC") + pd.Timedelta(seconds=number),
