@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,7 @@ from parking_exp import __version__
 FOLDER = Path(__file__).parent
 
 
-def render_html(
-    template: Path, filters: Mapping[str, Callable[..., Any]] | None = None, **values: Any
-) -> str:
+def render_html(template: Path, **values: Any) -> str:
     """Render a template that extends `base.html.j2`.
 
     Everything is escaped. The CSS and JS files that have the template's name become part of the
@@ -24,8 +21,7 @@ def render_html(
 
     Args:
         template: a file `NAME.html.j2` with `NAME.css` and `NAME.js` beside it.
-        filters: the template's filters, beside Jinja's and `base64`.
-        values: that the template names.
+        values: what the template names.
     """
     environment = Environment(
         loader=FileSystemLoader([template.parent, FOLDER]),
@@ -34,7 +30,7 @@ def render_html(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"base64": to_base64, **(filters or {})}
+    environment.filters["base64"] = to_base64
     name = template.name.partition(".")[0]
     style = _read(FOLDER / "base.css") + _read(template.with_name(f"{name}.css"))
     script = _read(FOLDER / "theme.js") + _read(template.with_name(f"{name}.js"))

@@ -8,6 +8,8 @@ from parking_exp.pages.html_page import render_html
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sections import SectionContent
+from parking_exp.statistics import ENOUGH_FOR_A_TEST, unseen_share
+from parking_exp.tasks.registry import task_reports
 
 TEMPLATE = Path(__file__).parent / "templates" / "index.html.j2"
 MARKERS = {"o": "●", "s": "■", "^": "▲", "D": "◆", "v": "▼", "P": "✚", "X": "✖"}
@@ -18,18 +20,14 @@ def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
 
     Everything is escaped. Figures are embedded as images, in which nothing is executed.
     """
-    swatches = {}
-    for cell_id in report.shown:
-        look = cell_style(cell_id)
-        swatches[cell_id] = (look.colour, MARKERS[look.marker])
-    shown_sections = []
-    for content in contents:
-        if content.text or content.figures or content.readable_tables:
-            shown_sections.append(content)
     return render_html(
         TEMPLATE,
-        filters={"number": formats.number},
         report=report,
-        sections=shown_sections,
-        swatches=swatches,
+        sections=contents,
+        tasks=task_reports(report.tasks),
+        unseen_share=unseen_share,
+        enough_for_a_test=ENOUGH_FOR_A_TEST,
+        cell_style=cell_style,
+        markers=MARKERS,
+        number=formats.number,
     )

@@ -25,7 +25,6 @@ from parking_exp.reports.figures.study_figures import (
     draw_parameter_importance,
     draw_slices,
 )
-from parking_exp.reports.methods import describe_methods
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import describe_search, retest_table, trial_table
 from parking_exp.reports.tables import report_tables
@@ -116,7 +115,6 @@ SECTIONS = (
             report_tables.common_table,
         ],
     ),
-    Section("methods", "How it was computed", text=describe_methods),
 )
 
 
@@ -170,6 +168,11 @@ class SectionContent:
     figures: Sequence[DrawnFigure]
 
     @property
+    def is_empty(self) -> bool:
+        """Whether the page has nothing of it."""
+        return not (self.text or self.figures or self.readable_tables)
+
+    @property
     def readable_tables(self) -> list[Table]:
         """The tables that people read."""
         return [move_constants_to_caption(table) for table in self.tables if table.readable]
@@ -193,7 +196,7 @@ def section_contents(
         own_figures = [figure for figure in figures if figure.section == section.id]
         text = list(section.text(report))
         contents.append(SectionContent(section.id, section.title, text, tables, own_figures))
-    _refuse_repeats("sections", [content.id for content in contents])
+    _refuse_repeats("sections", ["methods", *(content.id for content in contents)])
     _refuse_repeats("tables", [table.name for content in contents for table in content.tables])
     _refuse_repeats("figures", [figure.name for figure in figures])
     return contents
