@@ -104,9 +104,10 @@ def _write_gap(label: str, difference: Difference) -> str:
 def _describe_factors(report: ReportData) -> Iterator[str]:
     """Yield what the levels of each crossed factor do, where all combinations are there."""
     for effect in report.effects_by_size:
-        if not effect.complete or effect.largest is None:
+        if not effect.complete:
             continue
-        high, low = effect.extremes
+        high = effect.highest
+        low = effect.lowest
         parts = [points_interval(effect.largest)]
         if effect.p is not None:
             parts.append(p_value(effect.p))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from parking_exp.statistics.comparisons import Difference, compare, contrast
@@ -32,8 +32,9 @@ class MainEffect:
         factor: its key.
         levels: the mean of each.
         complete: whether all combinations are there; else levels are averaged over different cells.
-        largest: the highest mean minus the lowest, with an interval corrected as p; None with a
-            single level.
+        highest: the level with the highest mean; of equal ones, the first.
+        lowest: the level with the lowest mean; of equal ones, the last.
+        largest: the highest mean minus the lowest, with an interval corrected as p.
         p: the p value of that difference, corrected (Bonferroni) over all pairs of levels; None
             where combinations are missing.
     """
@@ -41,27 +42,21 @@ class MainEffect:
     factor: str
     levels: Sequence[Level]
     complete: bool
-    largest: Difference | None = None
-    p: float | None = None
-
-    @property
-    def extremes(self) -> tuple[Level, Level]:
-        """The levels with the highest and the lowest mean: of equal ones, the first and last."""
-        highest = max(self.levels, key=lambda level: level.mean)
-        lowest = min(reversed(self.levels), key=lambda level: level.mean)
-        return highest, lowest
+    highest: Level
+    lowest: Level
+    largest: Difference
+    p: float | None
 
     @property
     def size(self) -> float:
         """The difference between its highest and its lowest mean."""
-        highest, lowest = self.extremes
-        return highest.mean - lowest.mean
+        return self.highest.mean - self.lowest.mean
 
 
 def main_effects(
     factors: Sequence[str], cells: Sequence[tuple[Sequence[Any], SeedRates]]
 ) -> list[MainEffect]:
-    """Return the mean of cell means for every level of every factor.
+    """Return the mean of cell means for every level of every factor that has more than one.
 
     Cells, (level of each factor, rates), have equal weights. Intervals and p are those of
     `compare`; seeds are permuted between cells that have the same levels of the other factors.
@@ -73,6 +68,7 @@ def main_effects(
     return [
         _main_effect(factor, levels, complete)
         for factor, levels in zip(factors, by_factor, strict=True)
+        if len(levels) > 1
     ]
 
 
@@ -91,11 +87,9 @@ def _main_effect(
     factor: str, cells: Mapping[Any, Sequence[SeedRates]], complete: bool
 ) -> MainEffect:
     levels = [Level(level, contrast(rates), len(rates)) for level, rates in cells.items()]
-    effect = MainEffect(factor, levels, complete)
-    if len(levels) < 2:
-        return effect
-
-    highest, lowest = effect.extremes
+    highest = max(levels, key=lambda level: level.mean)
+    lowest = min(reversed(levels), key=lambda level: level.mean)
     n_pairs = math.comb(len(levels), 2)
     (largest,) = compare([(cells[highest.level], cells[lowest.level])], n_pairs=n_pairs)
-    return replace(effect, largest=largest, p=largest.p_corrected if complete else None)
+    p = largest.p_corrected if complete else None
+    return MainEffect(factor, levels, complete, highest, lowest, largest, p)

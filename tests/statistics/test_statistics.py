@@ -310,8 +310,13 @@ def test_the_largest_of_three_differences_is_corrected_for_all_of_them():
 
 def test_levels_with_equal_means_are_compared_with_each_other():
     (effect,) = effects_of(["strategy"], {("a",): [0.0] * 4, ("b",): [0.0] * 4}, n_episodes=100)
-    assert [level.level for level in effect.extremes] == ["a", "b"]
+    assert (effect.highest.level, effect.lowest.level) == ("a", "b")
     assert (effect.largest.value, effect.p) == (0.0, 1.0)
+
+
+def test_a_factor_with_one_level_has_no_effect():
+    cells = {("a", 1): [0.5] * 4, ("b", 1): [0.6] * 4}
+    assert [effect.factor for effect in effects_of(["strategy", "goals"], cells)] == ["strategy"]
 
 
 def test_effects_flag_missing_combinations_and_have_no_interval_with_a_single_seed():

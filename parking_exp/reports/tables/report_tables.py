@@ -190,11 +190,10 @@ def factors_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of the difference that each factor makes."""
     rows = []
     for effect in report.effects_by_size:
-        highest, lowest = effect.extremes
         row = row_of(effect)
         row["name"] = report.factor_names[effect.factor]
-        row["highest"] = highest.level
-        row["lowest"] = lowest.level
+        row["highest"] = effect.highest.level
+        row["lowest"] = effect.lowest.level
         rows.append(row)
     yield Table(
         "factors",
