@@ -1,7 +1,6 @@
 """The style of figures: the look of each cell, labels that fit, and axes that figures share."""
 
 import textwrap
-import unicodedata
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -63,9 +62,7 @@ def cell_style(cell_id: str) -> CellStyle:
 
 def clean(text: str) -> str:
     """Return text in one line, without control, formatting and unassigned characters."""
-    kept = ""
-    for word in text.split():
-        kept += " " + "".join(c for c in word if not unicodedata.category(c).startswith("C"))
+    kept = "".join(c for c in text if c.isprintable() or c.isspace())
     return " ".join(kept.split())
 
 

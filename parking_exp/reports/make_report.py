@@ -45,8 +45,8 @@ class ReportSource(NamedTuple):
     search: StoredSearch | None = None
 
 
-def make_report(request: ReportRequest) -> Path:
-    """Write a report, print what it says, and return its folder."""
+def make_report(request: ReportRequest) -> None:
+    """Send the store what it lacks, write a report and any export, and print the findings."""
     export_folder = directory_path(request.export) if request.export else None
     if export_folder:
         refuse_foreign(export_folder)
@@ -66,7 +66,6 @@ def make_report(request: ReportRequest) -> Path:
     if export_folder:
         say(f"export         {export_folder}")
     say(f"report         {folder / 'index.html'}")
-    return folder
 
 
 def _read_source(request: ReportRequest, show: Callable[[str], None]) -> ReportSource:

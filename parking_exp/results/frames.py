@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -305,8 +305,8 @@ def _read_files(
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
-    """Yield a sentence for each run that is there twice, e.g. of directories that share a store."""
-    numbers = runs.groupby(["experiment", "cell", "seed"], sort=False).size()
-    for key, number in numbers[numbers > 1].items():
-        experiment, cell, seed = cast(tuple[str, str, int], key)
-        yield f"{experiment}, {cell}, seed {seed}: {number} runs have this cell and seed"
+    """Yield a sentence for each run that is there again, e.g. of directories that share a store."""
+    repeated = runs[runs.duplicated(["experiment", "cell", "seed"])]
+    for run in repeated.to_dict("records"):
+        place = f"{run['experiment']}, {run['cell']}, seed {run['seed']}"
+        yield f"{place}: several runs have this cell and seed"

@@ -27,8 +27,7 @@ def draw_pairs(report: ReportData) -> Iterator[CaptionedFigure]:
     pairs = []
     labels = []
     for pair in report.drawn_pairs:
-        is_shown = pair.a in names and pair.b in names
-        if is_shown and pair.difference.value is not None:
+        if pair.a in names and pair.b in names:
             pairs.append(pair)
             labels.append(names[pair.a])
             if not report.reference:
@@ -39,7 +38,7 @@ def draw_pairs(report: ReportData) -> Iterator[CaptionedFigure]:
         difference = f"Final success minus that of {report.labels[report.reference]}"
     caption = (
         f"{difference}, in percentage points, with 95 % intervals. ▲ the first is better, ▼ worse, "
-        f"≈ not distinguishable, ? too few seeds. {report.family}"
+        f"≈ not distinguishable, ~ unclear, ? too few seeds. {report.family}"
     )
     n_rows = rows_on_page(labels)
     for begin in range(0, len(pairs), n_rows):
