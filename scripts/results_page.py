@@ -10,6 +10,7 @@ import textwrap
 from argparse import ArgumentParser
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from numbers import Integral
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,7 +29,7 @@ from parking_exp.reports.cell_comparisons import seed_rates
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import CellSummary, Pair, ReportData
 from parking_exp.results import Results, read_export
-from parking_exp.statistics import ratio_of_times, steps_to
+from parking_exp.statistics import steps_to
 from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
@@ -368,6 +369,27 @@ def _filled(item: str) -> str:
         words, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
     return lines.replace(NO_BREAK, " ")
+
+
+def ratio_of_times(times: np.ndarray, others: np.ndarray) -> tuple[float, float, float]:
+    """Return the ratio of two samples of times, and the ends of its 95 % interval.
+
+    It is the median of the ratios of all pairs. The interval inverts the exact test of Mann and
+    Whitney (Hodges and Lehmann 1963). It supposes that both have the same distribution but for a
+    factor. Shape (seeds,) each. Times of the first may be inf, where only a lower limit is known.
+
+    Raises:
+        ValueError: there are too few times for an interval of 95 %.
+    """
+    n = len(times)
+    ranks = combinations(range(n + len(others)), n)
+    u = np.sort([sum(chosen) for chosen in ranks]) - n * (n - 1) // 2
+    # The number of pairs outside of the interval on each side.
+    outside = int(u[int(0.025 * len(u))])
+    if outside == 0:
+        raise ValueError(f"{n} and {len(others)} times are too few")
+    ratios = np.sort(np.divide.outer(times, others).ravel())
+    return float(np.median(ratios)), float(ratios[outside - 1]), float(ratios[-outside])
 
 
 def _range(cell: CellSummary, metric: str) -> str:

@@ -15,7 +15,6 @@ from parking_exp.statistics.effects import MainEffect, main_effects
 from parking_exp.statistics.intervals import Interval, coverage_note
 from parking_exp.statistics.learning_curves import (
     normalised_area,
-    ratio_of_times,
     steps_to,
 )
 from parking_exp.statistics.means import SeedRates, mean_interval
@@ -39,7 +38,6 @@ __all__ = [
     "main_effects",
     "mean_interval",
     "normalised_area",
-    "ratio_of_times",
     "steps_to",
     "unseen_share",
     "wilson_interval",

@@ -1,7 +1,5 @@
 """Learning curves: the area under one, and the time to a threshold."""
 
-from itertools import combinations
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -34,24 +32,3 @@ def steps_to(
     reached = np.asarray(rates, dtype=float) >= threshold
     held = np.lib.stride_tricks.sliding_window_view(reached, hold).all(axis=1)
     return float(at[held.argmax()]) if held.any() else None
-
-
-def ratio_of_times(times: np.ndarray, others: np.ndarray) -> tuple[float, float, float]:
-    """Return the ratio of two samples of times, and the ends of its 95 % interval.
-
-    It is the median of the ratios of all pairs. The interval inverts the exact test of Mann and
-    Whitney (Hodges and Lehmann 1963). It supposes that both have the same distribution but for a
-    factor. Shape (seeds,) each. Times of the first may be inf, where only a lower limit is known.
-
-    Raises:
-        ValueError: there are too few times for an interval of 95 %.
-    """
-    n = len(times)
-    ranks = combinations(range(n + len(others)), n)
-    u = np.sort([sum(chosen) for chosen in ranks]) - n * (n - 1) // 2
-    # The number of pairs outside of the interval on each side.
-    outside = int(u[int(0.025 * len(u))])
-    if outside == 0:
-        raise ValueError(f"{n} and {len(others)} times are too few")
-    ratios = np.sort(np.divide.outer(times, others).ravel())
-    return float(np.median(ratios)), float(ratios[outside - 1]), float(ratios[-outside])

@@ -21,7 +21,6 @@ from parking_exp.statistics import (
     main_effects,
     mean_interval,
     normalised_area,
-    ratio_of_times,
     steps_to,
     unseen_share,
     wilson_interval,
@@ -227,20 +226,6 @@ def test_steps_to_is_the_first_of_three_evaluations_that_hold():
     assert steps_to(steps, [0, 0.9, 0.95, math.nan, 0.9, 0.9, 0.1]) is None
     assert steps_to(steps[:2], [1.0, 1.0]) is None
     assert steps_to(steps[:2], [0.0, 1.0], hold=1) == 10.0
-
-
-def test_the_ratio_of_times_is_the_median_of_all_pairs_between_the_third_of_25_from_each_end():
-    # Five against five: the tabled two-sided 5 % point of Mann and Whitney's U is 2.
-    times = np.array([1, 2, 3, 4, 5])
-    others = np.array([1, 10, 100, 1000, 10000])
-    assert ratio_of_times(times, others) == pytest.approx((0.03, 0.0003, 3.0))
-    times_with_a_limit = np.array([1, 2, 3, 4, math.inf])
-    assert ratio_of_times(times_with_a_limit, others) == pytest.approx((0.1, 0.0003, math.inf))
-
-
-def test_three_times_against_three_have_no_ratio():
-    with pytest.raises(ValueError, match="3 and 3 times are too few"):
-        ratio_of_times(np.array([1, 2, 3]), np.array([4, 5, 6]))
 
 
 # Curves
