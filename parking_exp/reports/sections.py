@@ -14,11 +14,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.figure_style import clean, report_style
 from parking_exp.report_section import Section, SectionFigure, Table
 from parking_exp.reports.cell_summaries import HOLD
-from parking_exp.reports.figures.cell_figures import (
-    draw_final_success,
-    draw_learning_curves,
-    draw_time_to_90,
-)
+from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves
 from parking_exp.reports.figures.comparison_figures import draw_pairs, draw_two_factors
 from parking_exp.reports.figures.study_figures import (
     draw_history,
@@ -94,7 +90,6 @@ SECTIONS = (
     Section(
         "time",
         "Time to 90 %",
-        figures=[SectionFigure("time_to_90", "Time to 90 %", draw_time_to_90)],
         tables=[report_tables.times_table],
     ),
     Section(

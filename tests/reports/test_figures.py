@@ -22,7 +22,7 @@ from parking_exp.reports.tables import report_tables
 from parking_exp.tasks.parking import lot_figures
 
 SVG = "{http://www.w3.org/2000/svg}"
-LIST = ["final_success", "learning_curves", "time_to_90", "pairwise", "scene_map"]
+LIST = ["final_success", "learning_curves", "pairwise", "scene_map"]
 
 
 @pytest.fixture(autouse=True)
@@ -116,17 +116,6 @@ def test_learning_curves_have_means_and_every_seed(three):
         assert crashes.get_ydata() == pytest.approx(100 * np.array(cell.curve.failure))
     (legend,) = success.figure.legends
     assert texts(legend.texts) == ["sac", "td3", "ddpg"]
-
-
-def test_time_to_90_has_the_share_of_seeds_after_each_that_reaches_it(three):
-    (axes,) = axes_of(cell_figures.draw_time_to_90, three)
-    cell = three.cells[1]
-    (share,) = lines(axes, "c1")
-    steps = sorted(seed.steps_to_90 for seed in cell.seeds if seed.reached_90)
-    assert 0 < len(steps) < cell.n_timed == 10
-    assert share.get_xdata() == pytest.approx([0, *steps, cell.curve.step[-1]])
-    shares = [10 * n for n in range(len(steps) + 1)]
-    assert share.get_ydata() == pytest.approx([*shares, shares[-1]])
 
 
 def test_pairs_are_differences_between_all_cells_or_from_the_baseline(three):

@@ -10,7 +10,6 @@ from parking_exp.reports.sections import DrawnFigure, section_contents
 SECTIONS = {
     "final_success": "results",
     "learning_curves": "curves",
-    "time_to_90": "time",
     "pairwise": "pairs",
     "scene_map": "scenes",
 }

@@ -1,4 +1,4 @@
-"""Figures of cells and their seeds: final success, learning curves, time to 90 %."""
+"""Figures of cells and their seeds: final success and learning curves."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -85,7 +85,7 @@ def draw_learning_curves(report: ReportData) -> Iterator[CaptionedFigure]:
     if not cells:
         return
     with_seeds = len(cells) <= _MOST_SEED_LINES
-    figure = _new_figure_with_legend(3.6, cells)
+    figure = _new_figure_with_legend(cells)
     success, failure = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     n_seeds = []
     for cell in cells:
@@ -122,37 +122,13 @@ def _draw_curve(
     failure.plot(curve.step, percentages(curve.failure), markevery=every, **style.lines)
 
 
-def _new_figure_with_legend(height: float, cells: Sequence[CellSummary]) -> Figure:
+def _new_figure_with_legend(cells: Sequence[CellSummary]) -> Figure:
     """Return a figure with a legend of the cells at the right, at least as high as that."""
     labels = wrapped_labels(cells, 32, lines=8)
     legend_height = 0.4
     for label in labels:
         legend_height += 0.14 + 0.12 * label.count("\n")
-    figure = new_figure(max(height, legend_height))
+    figure = new_figure(max(3.6, legend_height))
     lines = [Line2D([], [], **cell_style(cell.id).lines) for cell in cells]
     figure.legend(lines, labels, loc="outside right upper")
     return figure
-
-
-def draw_time_to_90(report: ReportData) -> Iterator[CaptionedFigure]:
-    """Draw the share of seeds that have reached 90 %, by env steps."""
-    cells = [cell for cell in report.shown_cells if cell.n_timed]
-    if not any(cell.n_reached_90 for cell in cells):
-        return
-    figure = _new_figure_with_legend(2.4, cells)
-    axes = figure.subplots()
-    for cell in cells:
-        assert cell.curve
-        steps = sorted(seed.steps_to_90 for seed in cell.seeds if seed.steps_to_90 is not None)
-        shares = 100 * np.arange(len(steps) + 1) / cell.n_timed
-        last = cell.curve.step[-1]
-        line = cell_style(cell.id).lines
-        axes.step([0, *steps, last], [*shares, shares[-1]], where="post", **line)
-    axes.set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
-    time_axis(axes, "env steps")
-    n_seeds = _count_seeds([cell.n_timed for cell in cells])
-    yield (
-        figure,
-        "Share of seeds whose success has reached 90 % in three evaluations in a row, of all seeds "
-        f"({n_seeds}).",
-    )
