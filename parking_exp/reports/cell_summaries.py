@@ -15,7 +15,6 @@ from parking_exp.results.frames import TEXT, Results
 from parking_exp.runs.run_state import STAGES
 from parking_exp.statistics import (
     Interval,
-    coverage_note,
     finite_or_none,
     interquartile_mean,
     mean_interval,
@@ -112,7 +111,6 @@ def _describe_success(rates: Sequence[float]) -> dict[str, Any]:
         "lowest": min(rates),
         "iqm": interquartile_mean(rates),
         "reaching_95": sum(rate >= RELIABLE for rate in rates),
-        "note": coverage_note(rates),
     }
 
 

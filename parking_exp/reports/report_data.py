@@ -80,7 +80,6 @@ class CellSummary:
     cpu_s_to_90: float | None = None
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
     figure_data: Any = None  # what figures of its task show beside that; not in `report.json`
-    note: str | None = None  # a sentence about an interval that is too narrow or missing
 
     @property
     def success(self) -> Interval:

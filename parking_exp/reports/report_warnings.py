@@ -30,8 +30,6 @@ def find_incomparable(report: ReportData) -> Iterator[str]:
     yield from _find_mixed(report)
     for cell in cells:
         label = quoted_label(cell.label)
-        if cell.note:
-            yield f"{label}: {cell.note}"
         n_blank = sum(seed.success is None for seed in cell.seeds)
         if n_blank:
             yield f"{label}: {plural(n_blank, 'run')} left out: no final success rate."

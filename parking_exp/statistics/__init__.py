@@ -12,7 +12,7 @@ from parking_exp.statistics.comparisons import (
     compare,
 )
 from parking_exp.statistics.effects import MainEffect, main_effects
-from parking_exp.statistics.intervals import Interval, coverage_note
+from parking_exp.statistics.intervals import Interval
 from parking_exp.statistics.learning_curves import (
     normalised_area,
     steps_to,
@@ -32,7 +32,6 @@ __all__ = [
     "MainEffect",
     "SeedRates",
     "compare",
-    "coverage_note",
     "finite_or_none",
     "interquartile_mean",
     "main_effects",

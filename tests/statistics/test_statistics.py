@@ -16,7 +16,6 @@ from parking_exp.statistics import (
     Interval,
     SeedRates,
     compare,
-    coverage_note,
     interquartile_mean,
     main_effects,
     mean_interval,
@@ -327,19 +326,6 @@ def test_interval_of_a_mean_covers_in_93_to_97_of_100_draws(rates, n):
 def test_intervals_of_differences_cover_in_93_to_97_of_100_draws():
     rates = Rates(0.9, 0.08)
     assert 0.93 <= simulation.of_difference(rates, rates, 20, 1000).mean() <= 0.97
-
-
-def test_note_speaks_exactly_where_a_collapse_shows():
-    rates = Rates(0.95, 0.03, failing=0.1)
-    assert simulation.of_mean(rates, 10, 400).mean() < 0.93
-    has_collapsed = (rates.measured(10, 400, seed=2) == 0).any(axis=1)
-    assert np.array_equal(simulation.speaks(rates, 10), has_collapsed)
-
-
-def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
-    assert coverage_note(TEN) is None
-    note = coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
-    assert "95 points apart" in note and "covered 40 %" in note
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parking_exp.reports.cell_comparisons import judge
-from parking_exp.statistics import SeedRates, compare, coverage_note, mean_interval
+from parking_exp.statistics import SeedRates, compare, mean_interval
 from parking_exp.statistics.permutation import permutation_p
 
 DRAWS = 2000
@@ -158,11 +158,6 @@ def decides(a, b, n, n_pairs=1, draws=500, episodes=500):
     """Return in which of the draws a report says "better" or "worse" in a family of `n_pairs`."""
     compared = differences(a, b, n, draws, episodes, n_pairs=n_pairs)
     return np.array([judge(difference) in ("a", "b") for difference in compared])
-
-
-def speaks(rates, n, draws=400):
-    """Return in which of the draws `coverage_note` says something."""
-    return np.array([coverage_note(row) is not None for row in rates.measured(n, draws, seed=2)])
 
 
 def main():
