@@ -3,7 +3,6 @@
 import difflib
 from collections.abc import Iterable, Sequence
 
-SIMILAR = 0.8  # similarity from which on a name counts as misspelt
 FEW_NAMES = 4  # of a list of names, which are written out
 
 

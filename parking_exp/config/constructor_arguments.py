@@ -18,8 +18,9 @@ from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LI
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, reason_of
-from parking_exp.phrases import SIMILAR, did_you_mean, suggestion
+from parking_exp.phrases import did_you_mean, suggestion
 
+SIMILAR = 0.8  # similarity from which on a name counts as misspelt
 # Base classes of the sections' classes.
 BASES = {
     "algorithm": "stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm",

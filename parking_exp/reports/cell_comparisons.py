@@ -37,13 +37,13 @@ class Family(NamedTuple):
     Attributes:
         sentence: declares them.
         reference: id of the cell that is part of all of them, if any.
-        declared: whether they are contrasts, which were chosen before the results were seen.
+        are_contrasts: whether they were chosen as contrasts.
     """
 
     couples: Sequence[tuple[CellSummary, CellSummary]] = ()
     sentence: str = ""
     reference: str | None = None
-    declared: bool = False
+    are_contrasts: bool = False
 
 
 def choose_family(
@@ -58,10 +58,10 @@ def choose_family(
     if baseline in rated:
         return _compare_with(rated[baseline], rated, "the baseline")
 
-    declared = [(rated[a], rated[b]) for a, b in contrasts if a in rated and b in rated]
-    if declared:
-        words = plural(len(declared), "declared contrast")
-        return Family(declared, FAMILY.format(words), declared=True)
+    chosen = [(rated[a], rated[b]) for a, b in contrasts if a in rated and b in rated]
+    if chosen:
+        words = plural(len(chosen), "chosen contrast")
+        return Family(chosen, FAMILY.format(words), are_contrasts=True)
 
     if len(rated) > ALL_PAIRS_UP_TO:
         best = max(rated.values(), key=lambda cell: cell.success.value or 0.0)
@@ -110,7 +110,7 @@ def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pa
 
 
 def seed_rates(cell: CellSummary) -> SeedRates:
-    """Return the final success of a cell's seeds, and the fewest episodes of one."""
+    """Return the final success of a cell's seeds, at least one, and the fewest episodes of one."""
     seeds = [seed for seed in cell.seeds if seed.success is not None]
     rates = [seed.success or 0.0 for seed in seeds]
     n_episodes = min(seed.n_episodes or 0 for seed in seeds)

@@ -78,8 +78,8 @@ def summarise_cell(cell: CellRuns, evaluations: RunEvaluations, *, unfinished: b
         counts=_count_stages(cell.runs["status"]),
         total_timesteps=total_timesteps,
         metrics=_average_metrics(seeds, reported, is_trained=total_timesteps != 0),
-        cpu_s=_average([seed.cpu_s for seed in seeds]),
-        area=_average([seed.area for seed in seeds], is_rate=True),
+        cpu_s=_mean([seed.cpu_s for seed in seeds]),
+        area=_mean_rate([seed.area for seed in seeds]),
         seeds=seeds,
         curve=_average_curves(curve_runs, evaluations),
         **_summarise_task(cell, seeds, evaluations),
@@ -96,7 +96,7 @@ def _average_metrics(
     means = {}
     for metric in reported:
         values = [seed.metrics.get(metric.name) for seed in seeds]
-        mean = _average(values, metric.is_rate, n_episodes)
+        mean = _mean_rate(values, n_episodes) if metric.is_rate else _mean(values)
         if metric.is_rate and not is_trained:
             mean = _episode_interval(mean, n_episodes)
         means[metric.name] = mean
@@ -218,17 +218,19 @@ def _summarise_task(
     }
 
 
-def _average(
-    values: Sequence[float | None], is_rate: bool = False, n_episodes: int | None = None
-) -> Interval:
+def _mean(values: Sequence[float | None]) -> Interval:
+    """Return the mean of the values that are known, without an interval."""
     known = [value for value in values if value is not None]
-    if not known:
-        return Interval(None)
-    # Without a number of episodes, equal values have an interval without width.
-    is_constant = n_episodes is None and len(set(known)) == 1
-    if is_rate and not is_constant:
-        return mean_interval(known, n_episodes)
-    return Interval(sum(known) / len(known), n=len(known))
+    return Interval(sum(known) / len(known), n=len(known)) if known else Interval(None)
+
+
+def _mean_rate(rates: Sequence[float | None], n_episodes: int | None = None) -> Interval:
+    """Return the mean of the rates that are known, with its interval."""
+    known = [rate for rate in rates if rate is not None]
+    # Without a number of episodes, equal rates would have an interval without width.
+    if not known or (n_episodes is None and len(set(known)) == 1):
+        return _mean(known)
+    return mean_interval(known, n_episodes)
 
 
 def _episode_interval(mean: Interval, n_episodes: int | None) -> Interval:

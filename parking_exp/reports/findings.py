@@ -58,11 +58,11 @@ def _describe_best(rated: Sequence[CellSummary]) -> str:
 
 
 def _orient_pairs(report: ReportData, best: CellSummary) -> list[Pair]:
-    """Return the declared pairs, else those that begin or end with the reference or the best cell.
+    """Return the contrasts, else the pairs that begin or end with the reference or the best cell.
 
     That cell is then the first of each.
     """
-    if report.declared:
+    if report.are_contrasts:
         return list(report.pairs)
     reference = report.reference or best.id
     oriented = []

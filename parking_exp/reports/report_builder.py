@@ -21,8 +21,8 @@ from parking_exp.reports.run_checks import find_contradictions, leave_out_imposs
 from parking_exp.results.frames import Results
 
 MAX_PROBLEMS = 5
-SHOWN_WHOLE = 16  # cells: figures show all of up to so many,
-SHOWN = 12  # else the best
+SHOWN_WHOLE = 16  # figures show all cells up to this number
+SHOWN = 12  # and else this many of the best
 
 
 class Selection(NamedTuple):
@@ -92,11 +92,11 @@ def build_report(
         effects=compare_levels(summaries, selection.factors),
         provenance=collect_provenance(selection.cells, left_out, results.uri),
         reference=family.reference,
-        declared=family.declared,
+        are_contrasts=family.are_contrasts,
     )
     warnings = [
         *selection.warnings,
-        *report_warnings.find_incomparable(report),
+        *report_warnings.find_caveats(report),
         *find_contradictions(selection.cells, evaluations),
         *results.problems[:MAX_PROBLEMS],
     ]
@@ -112,7 +112,7 @@ def build_report(
 def _select(
     cells: Sequence[CellRuns], wanted: Sequence[str], baseline: str | None, contrast: str | None
 ) -> Selection:
-    """Return the wanted cells, all without any, and the baseline."""
+    """Return the wanted cells, or all if none are wanted, with the baseline and the contrasts."""
     selected = cell_selection.choose_cells(cells, wanted)
     reference = None
     if baseline:
@@ -122,23 +122,32 @@ def _select(
 
     labelled, factors = cell_selection.relabel(selected)
     if contrast is None:
-        pairs, untested, warnings = cell_selection.find_contrasts(cells)
+        pairs, unknown, warnings = cell_selection.find_contrasts(cells)
     else:
         pairs = cell_selection.match_cells(labelled, factors, contrast)
-        untested = []
+        unknown = []
         warnings = []
-
-    contrasts = []
-    finished = {cell.identity: cell.id for cell in labelled if len(cell.done)}
-    for first, second in pairs:
-        if first.identity in finished and second.identity in finished:
-            contrasts.append((finished[first.identity], finished[second.identity]))
-        else:
-            untested.append(f"{first.label} minus {second.label}")
+    contrasts, unfinished = _split_contrasts(pairs, labelled)
+    untested = unknown + unfinished
     if untested:
         warnings.append(_warn_of_untested(untested, len(contrasts)))
     baseline_id = labelled[selected.index(reference)].id if reference else None
     return Selection(labelled, factors, baseline_id, contrasts, warnings)
+
+
+def _split_contrasts(
+    pairs: Sequence[tuple[CellRuns, CellRuns]], selected: Sequence[CellRuns]
+) -> tuple[list[tuple[str, str]], list[str]]:
+    """Return the pairs of selected cells with finished runs, by their ids; and names of others."""
+    finished = {cell.identity: cell.id for cell in selected if len(cell.done)}
+    contrasts = []
+    others = []
+    for first, second in pairs:
+        if first.identity in finished and second.identity in finished:
+            contrasts.append((finished[first.identity], finished[second.identity]))
+        else:
+            others.append(f"{first.label} minus {second.label}")
+    return contrasts, others
 
 
 def _warn_of_untested(untested: Sequence[str], n_tested: int) -> str:

@@ -8,7 +8,7 @@ from parking_exp.pages.html_page import render_html
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sections import SectionContent
-from parking_exp.statistics import ENOUGH_FOR_A_TEST, unseen_share
+from parking_exp.statistics import ENOUGH_FOR_A_TEST, largest_hidden_share
 from parking_exp.tasks.registry import task_reports
 
 TEMPLATE = Path(__file__).parent / "templates" / "index.html.j2"
@@ -25,7 +25,7 @@ def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
         report=report,
         sections=contents,
         tasks=task_reports(report.tasks),
-        unseen_share=unseen_share,
+        largest_hidden_share=largest_hidden_share,
         enough_for_a_test=ENOUGH_FOR_A_TEST,
         cell_style=cell_style,
         markers=MARKERS,

@@ -17,8 +17,8 @@ COMPARABLE = {
 """Config keys that should be the same in all cells."""
 
 
-def find_incomparable(report: ReportData) -> Iterator[str]:
-    """Yield what makes numbers hard to compare."""
+def find_caveats(report: ReportData) -> Iterator[str]:
+    """Yield what limits the numbers: few seeds, mixed conditions, runs that are left out."""
     cells = report.cells
     few = [cell.success.n for cell in cells if cell.success.n < ENOUGH_SEEDS]
     if few:

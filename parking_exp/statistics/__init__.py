@@ -21,7 +21,7 @@ from parking_exp.statistics.means import SeedRates, mean_interval
 from parking_exp.statistics.rates import (
     finite_or_none,
     interquartile_mean,
-    unseen_share,
+    largest_hidden_share,
     wilson_interval,
 )
 
@@ -34,10 +34,10 @@ __all__ = [
     "compare",
     "finite_or_none",
     "interquartile_mean",
+    "largest_hidden_share",
     "main_effects",
     "mean_interval",
     "normalised_area",
     "steps_to",
-    "unseen_share",
     "wilson_interval",
 ]

@@ -38,7 +38,7 @@ def interquartile_mean(values: ArrayLike) -> float:
     return float(stats.trim_mean(values, 0.25))
 
 
-def unseen_share(n: int) -> float:
+def largest_hidden_share(n: int) -> float:
     """Return the largest share of seeds that may collapse although none of `n` did.
 
     It is the one-sided bound of Clopper and Pearson (1934). With 10 seeds it is 0.26: no interval

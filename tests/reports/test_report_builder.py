@@ -13,7 +13,7 @@ from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.reports.cell_selection import choose_cells, group_runs
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.report_warnings import find_incomparable
+from parking_exp.reports.report_warnings import find_caveats
 from parking_exp.reports.sections import section_contents
 from parking_exp.reports.tables import report_tables
 from parking_exp.statistics import Interval, SeedRates, compare
@@ -189,7 +189,7 @@ def test_a_cell_that_is_not_trained_mixes_no_budgets():
     assert "Mixed total_timesteps: 400 and 800." in report.warnings
     short, long = report.cells
     untrained = replace(report, cells=[replace(short, total_timesteps=0), long])
-    assert not any(line.startswith("Mixed") for line in find_incomparable(untrained))
+    assert not any(line.startswith("Mixed") for line in find_caveats(untrained))
 
 
 def test_other_rewards_and_simulators_are_no_mixed_tasks():
@@ -349,7 +349,7 @@ def test_a_contrast_compares_matched_cells():
         (f"{name}, her_future, gamma={gamma}", f"{name}, replay, gamma={gamma}")
         for name, gamma in others
     }
-    assert "6 declared contrasts." in report.family
+    assert "6 chosen contrasts." in report.family
     assert report.drawn_pairs == report.pairs
     difference = report.pairs[0].difference
     assert difference.p_corrected == pytest.approx(6 * difference.p)
@@ -446,7 +446,7 @@ def test_declared_contrasts_are_the_family_the_findings_and_in_figures():
     cells = declaring(["gamma=0.5", "gamma=0.51"], ["gamma=0.52", "gamma=0.5"])
     report = content(cells, range(4), rising)
     assert compared(report) == [("5", "51"), ("52", "5")]
-    assert "2 declared contrasts." in report.family
+    assert "2 chosen contrasts." in report.family
     assert report.shown == [f"c{n}" for n in (0, 1, 2, *range(8, 20))]
     assert sum("gamma=0.52 is" in claim and "gamma=0.5 (" in claim for claim in report.claims) == 1
     assert not [warning for warning in report.warnings if "contrast" in warning]

@@ -17,11 +17,11 @@ from parking_exp.statistics import (
     SeedRates,
     compare,
     interquartile_mean,
+    largest_hidden_share,
     main_effects,
     mean_interval,
     normalised_area,
     steps_to,
-    unseen_share,
     wilson_interval,
 )
 from parking_exp.statistics.permutation import permutation_p
@@ -38,7 +38,7 @@ SEEDS = st.lists(
 
 
 def test_ten_seeds_without_a_collapse_leave_room_for_26_percent_of_them():
-    assert unseen_share(10) == pytest.approx(0.2589, abs=1e-4)  # 0.7411 ** 10 = 0.05
+    assert largest_hidden_share(10) == pytest.approx(0.2589, abs=1e-4)  # 0.7411 ** 10 = 0.05
 
 
 def test_wilson_interval_is_scipys():

@@ -15,7 +15,7 @@ from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.reported_metrics import ReportedMetric, reported_metrics
 from parking_exp.reports.tables.table import (
-    PERCENT,
+    WITH_INTERVALS,
     cell_column,
     interval_column,
     row_of,
@@ -66,7 +66,7 @@ def headline_table(report: ReportData) -> Iterator[Table]:
         "headline",
         _list_cell_rows(report),
         columns,
-        f"Final evaluation: means over seeds, {PERCENT}.",
+        f"Final evaluation: means over seeds, {WITH_INTERVALS}.",
         latex=True,
     )
 
@@ -100,7 +100,7 @@ def times_table(report: ReportData) -> Iterator[Table]:
         ],
         "Time until three evaluations in a row have 90 %, with medians where half of the seeds "
         "reached it; area under the learning curve in % of the highest possible, means "
-        f"{PERCENT}.",
+        f"{WITH_INTERVALS}.",
     )
 
 
@@ -228,7 +228,7 @@ def effects_table(report: ReportData) -> Iterator[Table]:
             Column("Cells", "cells", formats.number),
         ],
         "Main effects: mean final success at each level over the levels of the other factors, "
-        f"{PERCENT}.{_warn_of_missing_combinations(report)}",
+        f"{WITH_INTERVALS}.{_warn_of_missing_combinations(report)}",
         latex=True,
     )
 

@@ -9,7 +9,7 @@ from parking_exp.report_section import Column, Row, Table, words
 from parking_exp.reports import formats
 from parking_exp.statistics import Interval, finite_or_none
 
-PERCENT = "with 95 % intervals over seeds in brackets"
+WITH_INTERVALS = "with 95 % intervals over seeds in brackets"
 
 
 def move_constants_to_caption(table: Table) -> Table:
