@@ -113,3 +113,17 @@ def test_a_section_that_would_replace_parts_of_others_is_refused(section, proble
         write_report(report, tmp_path, ["svg"], [section])
     assert str(error.value) == f"report.sections: {problem}; rename yours"
     assert not [*tmp_path.iterdir()]
+
+
+def test_methods_are_those_of_the_numbers_that_the_report_has():
+    report = report_factory.report(2, 10)
+    untrained = replace(report, cells=[replace(cell, total_timesteps=0) for cell in report.cells])
+    alone = replace(report, pairs=[], cells=[replace(cell, n_timed=0) for cell in report.cells])
+    pages = [
+        render_page(each, ()).partition('id="methods"')[2] for each in (report, untrained, alone)
+    ]
+    assert ["if none of 10 seeds collapses, up to 26 %" in page for page in pages] == [True] * 3
+    assert ["What is not trained" in page for page in pages] == [False, True, False]
+    assert ["A verdict needs 4 seeds" in page for page in pages] == [True, True, False]
+    assert ["Time to 90 %" in page for page in pages] == [True, True, False]
+    assert not any("A main effect" in page for page in pages)
