@@ -18,7 +18,7 @@ from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_plans import make_pending
 from parking_exp.terminal import is_script, say, unfailing_output
 from parking_exp.tracking.store_writer import StoreWriter
-from parking_exp.tracking.sync import adopt_store, sync_hint
+from parking_exp.tracking.sync import adopt_store
 from parking_exp.training.signals import stop_on_signal
 from parking_exp.training.train_run import check_device, train_run
 from parking_exp.training.warm_start import check_sources
@@ -49,19 +49,23 @@ def _train_or_keep(config: RunConfig) -> RunResult:
         check_device(config.device)
     if directory.result() is None:
         check_sources([config])
-    with directory.supervisor_lock(), directory.training_lock():
-        reason = _reason_to_keep(directory, config)
-        if reason is None:
-            _begin(directory, config)
-            with stop_on_signal() as stop:
-                lines = train_run(config, directory, stop, writer.sync_in_training)
+    try:
+        with directory.supervisor_lock(), directory.training_lock():
+            reason = _reason_to_keep(directory, config)
+            if reason is None:
+                _begin(directory, config)
+                with stop_on_signal() as stop:
+                    lines = train_run(config, directory, stop, writer.sync)
+    finally:
+        if writer.has_failed:
+            writer.complete_stores([directory])
     if reason is not None:
         lines = [reason]
         adopt_store(directory, config)
         writer.complete_stores([directory])
     result = directory.result()
     assert result is not None
-    say(*lines, *_closing_lines(result, directory, writer))
+    say(*lines, *_closing_lines(result, directory))
     return result
 
 
@@ -86,7 +90,7 @@ def _begin(directory: RunDirectory, config: RunConfig) -> None:
     directory.begin()
 
 
-def _closing_lines(result: RunResult, directory: RunDirectory, writer: StoreWriter) -> list[str]:
+def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:
     """Return lines about a finished run: its success, and where it is."""
     lines = []
     rate = result.metrics.get("final/success_rate")
@@ -96,10 +100,6 @@ def _closing_lines(result: RunResult, directory: RunDirectory, writer: StoreWrit
     uri = directory.tracking_uri or ""
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   ({ui_command(uri)})")
-    problem = writer.problems.get(directory.path)
-    if problem is not None:
-        hint = sync_hint(directory.output_dir, uri)
-        lines.append(f"not all of it is in the store ({problem}); {hint}")
     return lines
 
 

@@ -28,7 +28,6 @@ from parking_exp.runs.run_state import STAGE_WORDS, RunState, count_stages, read
 from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.store_thread import syncing
 from parking_exp.terminal import command_of, make_console
 from parking_exp.tracking.client import say_ignored_store
 from parking_exp.tracking.store_writer import StoreWriter
@@ -213,7 +212,7 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
     monitor = Monitor(lambda: paths, len(paths))
     try:
         writer = StoreWriter([run.config for run in runs], monitor.say)
-        with monitor, syncing(lambda: paths, writer):
+        with monitor, writer.syncing(lambda: paths):
             _launch_all(due, launcher, monitor)
     finally:
         states = [read_state(path) for path in paths]

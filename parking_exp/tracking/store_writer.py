@@ -1,15 +1,21 @@
 """Write runs to their stores while they train; a store that fails stops no training."""
 
-from collections.abc import Callable, Iterable, Sequence
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from parking_exp.config.schema import RunConfig
+from parking_exp.errors import ParkingError
 from parking_exp.runs.checkpoint_files import find_checkpoints
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import Status
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import complete_store, sync_hint, try_sync
 
+POLL_S = 1.0
+PAUSE_S = 300.0  # until a run that could not be synced is tried again: that could take minutes
 SyncPoint = tuple[Status, str | None]
 """Status of a run, and the name of its newest checkpoint."""
 
@@ -20,52 +26,86 @@ class StoreWriter:
     Args:
         configs: all configs of the runs, or some that name the same stores.
         say: shows a line.
-
-    Attributes:
-        stores: the stores of the runs.
-        problems: the reason for each run whose last sync failed.
     """
 
     def __init__(self, configs: Iterable[RunConfig], say: Callable[[str], None]) -> None:
-        self.problems: dict[Path, str] = {}
         self._say = say
         tracked = [config for config in configs if config.tracking.mlflow]
         output_dirs = {config.store_uri: config.output_path for config in tracked}
-        self.stores = [Store(uri, output_dir) for uri, output_dir in output_dirs.items()]
+        self._stores = [Store(uri, output_dir) for uri, output_dir in output_dirs.items()]
+        self._synced: dict[Path, SyncPoint] = {}
+        self._next_try: dict[Path, float] = {}
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a sync has failed, so that a store may lack something."""
+        return bool(self._next_try)
 
     def sync(self, directory: RunDirectory) -> None:
-        """Make the store of a run agree with it, and say if that fails for the first time."""
-        for store in self.stores:
-            if store.tracks(directory):
-                self._sync(directory, store)
+        """Make the store of a run agree with it, unless it does, or that has failed just now."""
+        self._sync(directory, sync_point(directory))
 
-    def sync_in_training(self, directory: RunDirectory) -> None:
-        """Sync a run that waits for it: after a failure at its end only, as it may take minutes."""
-        if not self.problems or directory.status != "running":
-            self.sync(directory)
-
-    def _sync(self, directory: RunDirectory, store: Store) -> None:
-        point = sync_point(directory)
-        problem = try_sync(directory, store)
-        if problem is None:
-            had_failed = self.problems.pop(directory.path, None)
-            if had_failed and not self.problems:
-                self._say("the store is complete again")
-        elif sync_point(directory) == point:  # else it went on, and its files with it
-            if not self.problems:
-                hint = sync_hint(directory.output_dir, store.uri)
-                self._say(
-                    f"the store {store.uri} is incomplete ({problem}); training continues, and "
-                    f"{hint}"
-                )
-            self.problems[directory.path] = problem
+    def _sync(self, directory: RunDirectory, point: SyncPoint) -> None:
+        path = directory.path
+        is_paused = time.monotonic() < self._next_try.get(path, 0.0)
+        if is_paused or point == self._synced.get(path):
+            return
+        for store in self._stores:
+            if not store.tracks(directory):
+                continue
+            problem = try_sync(directory, store)
+            if problem is None:
+                self._synced[path] = point
+            elif point == sync_point(directory):  # else it went on, and its files with it
+                if not self.has_failed:
+                    hint = sync_hint(directory.output_dir, store.uri)
+                    self._say(
+                        f"the store {store.uri} is incomplete ({problem}); training continues, and "
+                        f"{hint}"
+                    )
+                self._next_try[path] = time.monotonic() + PAUSE_S
 
     def complete_stores(self, directories: Sequence[RunDirectory]) -> None:
         """Sync what the stores lack of some runs, and say if they still lack some."""
-        for store in self.stores:
+        for store in self._stores:
             problem = complete_store(directories, store)
             if problem is not None:
                 self._say(problem)
+
+    @contextmanager
+    def syncing(self, find: Callable[[], Sequence[Path]]) -> Iterator[None]:
+        """Sync runs in a thread as they save checkpoints and end; at last, all that is missing.
+
+        `find` returns the run directories that exist now.
+        """
+        if not self._stores:
+            yield
+            return
+        for path in find():
+            self._synced[path] = sync_point(RunDirectory(path))
+        is_over = threading.Event()
+        thread = threading.Thread(target=self._watch, args=(find, is_over), daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            is_over.set()
+            thread.join()
+            self.complete_stores([RunDirectory(path) for path in find()])
+
+    def _watch(self, find: Callable[[], Sequence[Path]], is_over: threading.Event) -> None:
+        """Sync the runs that have a new checkpoint or have ended, until it is over."""
+        while not is_over.wait(POLL_S):
+            try:
+                paths = find()
+            except (OSError, ParkingError):  # e.g. a folder that is being deleted: look again
+                continue
+            for directory in map(RunDirectory, paths):
+                point = sync_point(directory)
+                status, checkpoint = point
+                is_begun = checkpoint is not None or status not in ("pending", "running")
+                if is_begun and not is_over.is_set():
+                    self._sync(directory, point)
 
 
 def sync_point(directory: RunDirectory) -> SyncPoint:

@@ -25,7 +25,6 @@ from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.local import LocalLauncher, run_workers
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.store_thread import syncing
 from parking_exp.sweeps.sweep import PlannedRun, sweep
 from parking_exp.terminal import command_of, make_console
 from parking_exp.tracking.store_writer import StoreWriter
@@ -116,7 +115,7 @@ def _train_trials(search: Search, study: "Study", n_workers: int) -> list[TrialR
 
     n_runs = request.n_trials * len(names)
     monitor = Monitor(runs, n_runs)
-    with monitor, syncing(runs, StoreWriter([base], monitor.say)):
+    with monitor, StoreWriter([base], monitor.say).syncing(runs):
         while True:
             trials = read_trials(study, search.folder, request.search.space, request.n_trials)
             n_left = _count_left(trials, request.n_trials)
