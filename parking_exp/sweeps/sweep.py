@@ -139,7 +139,7 @@ def _refuse_two_evaluations(cells: Iterable[_Cell]) -> None:
 
 
 def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
-    """Print the plan: cells x seeds, what is done, and what will run."""
+    """Print the plan: how many runs of each cell are at each stage, and how many will run."""
     states = [_planned_state(run) for run in runs]
     out.print(cell_table(states))
     for line in state_lines(states, "damaged"):
@@ -147,37 +147,11 @@ def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     for run, state in zip(runs, states, strict=True):
         if run.needs_evaluation and run.evaluation_problem is not None:
             out.print(f"kept     {run_name(state)}: {run.evaluation_problem}")
-    size = f"{_describe_size(runs)} = {plural(len(runs), 'run')}"
-    out.print(f"{size}: {_describe_counts(runs, states)}")
-
-
-def _describe_size(runs: Sequence[PlannedRun]) -> str:
-    """Return how many cells a plan has, and how many seeds if each cell has the same ones."""
-    n_cells = len({run.path.parent for run in runs})
-    n_seeds = len({run.config.seed for run in runs})
-    cells = plural(n_cells, "cell")
-    if n_cells * n_seeds != len(runs):
-        return cells
-    return f"{cells} x {plural(n_seeds, 'seed')}"
-
-
-def _describe_counts(runs: Sequence[PlannedRun], states: Sequence[RunState]) -> str:
-    """Return how many runs of a plan are done, and how many will run."""
-    by_stage = count_stages(states)
-    due = [run.state.stage for run in runs if run.is_due]
-    n_failed = by_stage["failed"] - due.count("failed")
-    n_reevaluated = due.count("done")
-    n_to_run = due.count("pending") + due.count("failed")
-
-    parts = [f"{by_stage['done']} done"]
-    if n_reevaluated:
-        parts.append(f"{n_reevaluated} to evaluate again")
-    if by_stage["running"]:
-        parts.append(f"{by_stage['running']} running elsewhere")
-    if n_failed:
-        parts.append(f"{n_failed} failed before (retry=failed runs them again)")
-    parts.append(f"{n_to_run} to run")
-    return ", ".join(parts)
+    due = [run.state.stage for run in runs if run.is_due and run.state.stage != "running"]
+    line = f"{plural(len(runs), 'run')}, {len(due)} to run"
+    if "done" in due:
+        line += f", {due.count('done')} of them for another evaluation only"
+    out.print(line)
 
 
 def _planned_state(run: PlannedRun) -> RunState:

@@ -143,7 +143,7 @@ def test_a_sweep_says_how_many_runs_it_evaluates_again_and_trains_none(tmp_path)
     models = [*tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")]
     times = [model.stat().st_mtime_ns for model in models]
     plan = sweep(tmp_path, "seeds=3", "evaluation.final_n_scenes=4", "dry_run=true")
-    assert "1 cell x 3 seeds = 3 runs: 0 done, 2 to evaluate again, 1 to run\n" in plan.stdout
+    assert "3 runs, 3 to run, 2 of them for another evaluation only\n" in plan.stdout
     head, row = (line.split() for line in plan.stdout.splitlines()[:2])
     assert head == ["cell", "done", "running", "failed", "pending", "success"]
     assert row[-1] == "3"  # pending ones
@@ -153,7 +153,7 @@ def test_a_sweep_says_how_many_runs_it_evaluates_again_and_trains_none(tmp_path)
     for file in tmp_path.glob("*/*/seed=*/episodes.csv"):
         assert len(pd.read_csv(file).query("phase == 'final'")) == 4
     assert (
-        "2 done, 0 to run\n"
+        "2 runs, 0 to run\n"
         in sweep(tmp_path, "seeds=2", "evaluation.final_n_scenes=4", "dry_run=true").stdout
     )
 
