@@ -45,7 +45,7 @@ def _distinct(folder: Path, *patterns: str) -> list[Path]:
 
 
 def find_run(
-    name: str, output_dir: Path, having: str, others: Sequence[str] = (), key: str = "run"
+    name: str, output_dir: Path, having: str, others: Sequence[str], key: str = "run"
 ) -> RunDirectory:
     """Find a run by its directory, its MLflow run id, or `latest`.
 
@@ -53,7 +53,7 @@ def find_run(
         name: the name of the run.
         output_dir: where it is looked for.
         having: a file of runs; `latest` is the one whose file was written last.
-        others: other valid names, for suggestions.
+        others: other valid names, one at least, for suggestions.
         key: the key of the config that has the name, for messages.
 
     Raises:
@@ -64,42 +64,19 @@ def find_run(
         return RunDirectory(folder)
     runs = find_runs(output_dir)
     usable = [path for path in runs if (path / having).exists()]
-    if name == LATEST:
-        if usable:
-            # A sync or an evaluation changes status.json, and not this file.
-            latest = max(usable, key=lambda path: (path / having).stat().st_mtime)
-            return RunDirectory(latest.absolute())
-        if runs:
-            raise RunNotFoundError(
-                f"{key}=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} "
-                "yet"
-            )
-        other = f", or write {key}={others[0]}" if others else ""
-        raise RunNotFoundError(
-            f"{key}=latest: there is no run in {output_dir} yet; train one first{other}"
-        )
+    if name == LATEST and usable:
+        # A sync or an evaluation changes status.json, and not this file.
+        latest = max(usable, key=lambda path: (path / having).stat().st_mtime)
+        return RunDirectory(latest.absolute())
+    for path in runs:
+        if RunDirectory(path).run_id == name:
+            return RunDirectory(path.absolute())
 
-    ids = _runs_by_id(runs)
-    if name in ids:
-        return RunDirectory(ids[name].absolute())
-
-    choices = [*others, *ids, *map(str, runs)]
+    choices = [*others, *map(str, runs)]
     if usable:
         choices.insert(0, LATEST)
-    hint = did_you_mean(name, choices)
-    if not hint:
-        hint = f"; write {key}={choices[0]}" if choices else "; train one first"
+    hint = did_you_mean(name, choices) or f"; write {key}={choices[0]}"
     raise RunNotFoundError(
-        f"{key}={name} is neither a run directory nor the MLflow run id of a run in "
-        f"{output_dir}{hint}"
+        f"{key}={name}: there is no such run; {output_dir} has {plural(len(runs), 'run')}, "
+        f"{len(usable)} with {having}{hint}"
     )
-
-
-def _runs_by_id(runs: Sequence[Path]) -> dict[str, Path]:
-    """Return runs by their MLflow run ids."""
-    by_id = {}
-    for path in runs:
-        run_id = RunDirectory(path).run_id
-        if run_id is not None:
-            by_id[run_id] = path
-    return by_id

@@ -30,7 +30,7 @@ def refusal(name, output_dir):
 
 def test_a_run_is_found_by_its_directory(output_dir):
     path = output_dir / "sweep" / "cell" / "seed=1"
-    assert find_run(str(path), output_dir, having="x").path == path
+    assert find_run(str(path), output_dir, "x", others=()).path == path
 
 
 def test_latest_is_the_run_whose_model_was_written_last_even_if_another_was_synced_since(
@@ -41,20 +41,23 @@ def test_latest_is_the_run_whose_model_was_written_last_even_if_another_was_sync
         (run / "models" / "final.zip").touch()
         os.utime(run / "models" / "final.zip", (seconds, seconds))
     os.utime(runs[0] / "status.json")
-    assert find_run("latest", output_dir, having="models/final.zip").path == runs[1]
+    assert find_run("latest", output_dir, "models/final.zip", others=()).path == runs[1]
 
 
 def test_an_unknown_name_is_refused_with_suggestions(output_dir):
     latest = output_dir / "sweep" / "cell" / "seed=0"
-    assert find_run("latest", output_dir, having="models/final.zip").path == latest
-    assert "run=latest" in refusal("nothing", output_dir)
-    (latest / "models" / "final.zip").unlink()
-    assert "run=pretrained" in refusal("nothing", output_dir)
-    assert "2 runs" in refusal("latest", output_dir)
-    assert refusal("latest", output_dir / "empty") == (
-        f"run=latest: there is no run in {output_dir / 'empty'} yet; train one first, "
-        "or write run=pretrained"
+    assert find_run("latest", output_dir, "models/final.zip", others=()).path == latest
+    assert refusal("nothing", output_dir) == (
+        f"run=nothing: there is no such run; {output_dir} has 2 runs, 1 with models/final.zip; "
+        "write run=latest"
     )
+    (latest / "models" / "final.zip").unlink()
+    for name in ("nothing", "latest"):
+        assert refusal(name, output_dir) == (
+            f"run={name}: there is no such run; {output_dir} has 2 runs, 0 with models/final.zip; "
+            "write run=pretrained"
+        )
+    assert f"{output_dir / 'empty'} has 0 runs, " in refusal("latest", output_dir / "empty")
 
 
 @pytest.mark.parametrize(
