@@ -1,7 +1,7 @@
 """Build a Stable-Baselines3 model from a config.
 
 Callbacks, trackers and launchers of a config are instantiated where they are used: in
-`training/training_session.py`, `training/trackers.py` and `sweeps/hydra_launcher.py`.
+`training/training_session.py`, `training/trackers.py` and `sweeps/launchers.py`.
 """
 
 from collections.abc import Iterator, Mapping

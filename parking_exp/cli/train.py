@@ -18,7 +18,7 @@ def main() -> None:
 def train(overrides: list[str], extra_config_dir: str | None) -> None:
     """Train a single run in this process, several as a sweep."""
     gc.disable()  # imports torch 0.8 s faster
-    from parking_exp.sweeps.hydra_launcher import launcher_of
+    from parking_exp.sweeps.launchers import launcher_of
     from parking_exp.sweeps.sweep import plan, sweep
 
     runs = compose_runs("config", overrides, extra_config_dir)

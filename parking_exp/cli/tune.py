@@ -10,7 +10,7 @@ def main() -> None:
 
 def tune(overrides: list[str], extra_config_dir: str | None) -> None:
     """Run a search."""
-    from parking_exp.sweeps.hydra_launcher import launcher_of
+    from parking_exp.sweeps.launchers import launcher_of
     from parking_exp.tuning.run_search import run_search
     from parking_exp.tuning.search import Search
 

@@ -31,7 +31,7 @@ from parking_exp.runs.file_hashes import HASHES, hash_finished_files
 from parking_exp.runs.locks import is_held
 from parking_exp.runs.run_files import (
     HEARTBEAT_FILE,
-    OUTPUT_DIR,
+    OUTPUT_DIR_FROM_RUN,
     RESULT_FILE,
     STATUS_FILE,
     TRACEBACK_FILE,
@@ -77,7 +77,7 @@ class RunDirectory:
     @property
     def output_dir(self) -> Path:
         """The output directory that the run is in now."""
-        return directory_path(self.path / OUTPUT_DIR)
+        return directory_path(self.path / OUTPUT_DIR_FROM_RUN)
 
     @property
     def status(self) -> Status:
@@ -106,7 +106,10 @@ class RunDirectory:
         return is_held(self.path / SUPERVISOR_LOCK) or is_held(self.path / TRAINING_LOCK)
 
     def update(self, *, durable: bool = True, **values: Any) -> None:
-        """Change entries of status.json; None removes one."""
+        """Change entries of status.json; None removes one.
+
+        The URI of a store is made relative. A run that has ended needs its reserved space no more.
+        """
         uri = values.get("tracking_uri")
         if uri is not None:
             values["tracking_uri"] = relative_uri(uri, self.output_dir)
@@ -159,9 +162,9 @@ class RunDirectory:
         )
 
     def reopen(self) -> None:
-        """Make a finished run go on at its last checkpoint, with the final evaluation."""
-        # Without its start, the store makes a new run of it. This comes first: if the process is
-        # killed in between, the run is still finished, and reopened again.
+        """Make a finished run pending. It is evaluated again when it is trained next."""
+        # Without a start time the store takes it for a new run. This comes before the status: a run
+        # whose reopening was killed is still finished, and is reopened again.
         (self.path / PROVENANCE_FILE).unlink(missing_ok=True)
         (self.path / "video.mp4").unlink(missing_ok=True)
         self.update(status="pending")

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 METRICS_FILE = "metrics.jsonl"
 EPISODES_FILE = "episodes.csv"
 MONITOR_FILE = "monitor.csv"
-APPENDED = (METRICS_FILE, EPISODES_FILE, MONITOR_FILE)
-"""Files of a run directory that only grow; each checkpoint has a copy of them."""
+LOGS = (METRICS_FILE, EPISODES_FILE, MONITOR_FILE)
+"""Logs of a run. Each checkpoint has a copy of them, which a resumed run gets back."""
 
 
 def copy_logs(run_dir: Path, checkpoint: Path) -> None:
     """Copy the logs into a checkpoint, with an empty `metrics.jsonl` if there is none yet."""
-    for name in APPENDED:
+    for name in LOGS:
         if (run_dir / name).exists():
             shutil.copyfile(run_dir / name, checkpoint / name)
     (checkpoint / METRICS_FILE).touch()
@@ -30,7 +30,7 @@ def copy_logs(run_dir: Path, checkpoint: Path) -> None:
 
 def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
     """Reset the logs to those of a checkpoint, or delete them."""
-    for name in APPENDED:
+    for name in LOGS:
         (run_dir / name).unlink(missing_ok=True)
         if checkpoint is not None and (checkpoint / name).exists():
             shutil.copyfile(checkpoint / name, run_dir / name)

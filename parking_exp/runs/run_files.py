@@ -41,7 +41,7 @@ WRITTEN_AT_THE_END = (
     "models/final.zip",
 )
 """Files that are whole once a run has ended."""
-OUTPUT_DIR = "../../.."  # from a run directory
+OUTPUT_DIR_FROM_RUN = "../../.."
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
 """Status in status.json; the process of a `running` run may be gone (`read_state` checks)."""
@@ -104,7 +104,8 @@ def write_config(directory: Path, config: RunConfig) -> None:
     """Write a run's config into its directory, with paths relative to it."""
     uri = config.tracking.uri and relative_uri(config.tracking.uri, config.output_path)
     tracking = config.tracking.model_copy(update={"uri": uri})
-    relocatable = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking})
+    changes = {"output_dir": OUTPUT_DIR_FROM_RUN, "tracking": tracking}
+    relocatable = config.model_copy(update=changes)
     text = yaml.safe_dump(relocatable.plain(), sort_keys=False)
     directory.mkdir(parents=True, exist_ok=True)
     write_atomically(directory / CONFIG_FILE, text, durable=False)

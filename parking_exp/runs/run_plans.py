@@ -31,7 +31,7 @@ PLAN_FILES = {
 def write_plan(
     directory: RunDirectory, config: RunConfig, label: str, started: float | None, **entries: Any
 ) -> None:
-    """Write the plan of a run, unless it is finished, or another process works on it.
+    """Make a run pending, unless it is finished with these settings or another process works on it.
 
     Nothing is written if the run is locked, or if another process has begun it since `started`.
 

@@ -24,8 +24,8 @@ STAGE_WORDS: Mapping[Stage, str] = {
     "failed": "failed",
     "pending": "interrupted or not started",
 }
-# Fields that `status.py` doesn't show.
-OWN = (
+# Fields that `status.py` does not show.
+NOT_SHOWN = (
     "status",
     "steps",
     "error",
@@ -58,7 +58,7 @@ class RunState(StatusEntries):
 
     def plain(self) -> dict[str, Any]:
         """Return the entries of public interest as JSON can hold them."""
-        return self.model_dump(exclude={*OWN})
+        return self.model_dump(exclude={*NOT_SHOWN})
 
 
 def read_state(path: Path) -> RunState:

@@ -26,7 +26,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import STAGE_WORDS, RunState, count_stages, read_state
 from parking_exp.runs.state_tables import cell_table, run_name, state_lines
-from parking_exp.sweeps.hydra_launcher import Launcher
+from parking_exp.sweeps.launchers import Launcher
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.terminal import command_of, make_console
 from parking_exp.tracking.client import say_ignored_store
@@ -180,7 +180,7 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
     print_plan(runs, out)
     if dry_run:
         return
-    _write_plan(runs)
+    _write_plans(runs)
     due = [run.path for run in runs if run.is_due]
     paths = [run.path for run in runs]
     monitor = Monitor(lambda: paths, len(paths))
@@ -197,7 +197,7 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
     _check_all_done(states)
 
 
-def _write_plan(runs: Sequence[PlannedRun]) -> None:
+def _write_plans(runs: Sequence[PlannedRun]) -> None:
     """Write the files of the runs that are due, and bring the other runs to this plan."""
     for run in runs:
         directory = RunDirectory(run.path)

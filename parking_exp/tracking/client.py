@@ -23,10 +23,6 @@ from parking_exp.terminal import say
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-OUTPUT_DIR_TAG = "parking_exp.output_dir"
-"""Tag of experiments in an output directory's own store: the directory in which their artifacts are
-located.
-"""
 WAIT_S = 120  # for other writers
 ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine

@@ -18,13 +18,8 @@ from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import make_console, say
-from parking_exp.tracking.client import (
-    OUTPUT_DIR_TAG,
-    lock_path,
-    no_garbage_collection,
-    write_lock,
-)
-from parking_exp.tracking.store import EXPERIMENTS, Store
+from parking_exp.tracking.client import lock_path, no_garbage_collection, write_lock
+from parking_exp.tracking.store import EXPERIMENTS, OUTPUT_DIR_TAG, Store
 from parking_exp.tracking.write_run import write_new_run
 
 FEW_RUNS = 20  # are written in a second or two

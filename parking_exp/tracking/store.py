@@ -22,12 +22,16 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file, replacing
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.tracking.client import OUTPUT_DIR_TAG, connect, say_ignored_store, write_lock
+from parking_exp.tracking.client import connect, say_ignored_store, write_lock
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
+OUTPUT_DIR_TAG = "parking_exp.output_dir"
+"""Tag of experiments in an output directory's own store: the directory in which their artifacts are
+located.
+"""
 # MLflow's limits are 100 parameters, 100 tags, and 1,000 entries in all.
 METRICS_PER_BATCH = 800
 PARAMS_PER_BATCH = 100

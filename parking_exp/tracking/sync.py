@@ -86,7 +86,7 @@ def sync_missing(
     if not idle:
         return
     try:
-        synced = _digests(idle, store)
+        synced = _runs_by_state(idle, store)
     except Exception as error:
         problem = reason_of_failure(error)
         yield from ((directory, problem) for directory in idle)
@@ -157,10 +157,13 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
         ) from error
 
 
-def _digests(
+def _runs_by_state(
     directories: Iterable[RunDirectory], store: Store
 ) -> "dict[tuple[Path, str | None], Run]":
-    """Return the store's runs of the experiments of some directories, by directory and digest."""
+    """Return the store's runs of the experiments of some directories, by directory and digest.
+
+    The digest stands for a state of the directory.
+    """
     runs = {}
     for run in _runs_of_experiments(directories, store):
         run_dir = store.run_dir(run)

@@ -53,9 +53,7 @@ def write_run(directory: RunDirectory, store: Store) -> None:
         first_tags = {**tags, STATUS: "running"}
         run = _create(store, experiment_id, first_tags, snapshot.first_name)
     _record_id(directory, run, store.uri)
-    is_same = run.data.tags.get(DIGEST) == snapshot.last_tags[DIGEST]
-    is_here = run.data.tags.get("run_dir") == tags["run_dir"]
-    if is_same and is_here and store.has_artifacts(run, snapshot.files):
+    if _is_up_to_date(store, run, snapshot):
         return
 
     was_done = run.data.tags.get(STATUS) == "done"
@@ -66,10 +64,7 @@ def write_run(directory: RunDirectory, store: Store) -> None:
         )
 
     _write_content(store, run, snapshot)
-    # What MLflow's UI shows first of a run. A name that a user gave it stays.
-    if run.info.run_name == snapshot.first_name != snapshot.last_name:
-        with store.writing() as client:
-            client.update_run(run.info.run_id, name=snapshot.last_name)
+    _rename(store, run, snapshot)
     store.log(run, {}, snapshot.last_tags)
 
 
@@ -106,6 +101,20 @@ def _refuse_damage(directory: RunDirectory) -> None:
             f"{', '.join(changed)} changed after the run was finished; the store keeps what it "
             "has. Restore the file, or delete it, and this warning goes"
         )
+
+
+def _is_up_to_date(store: Store, run: "Run", snapshot: RunSnapshot) -> bool:
+    """Return whether a store has a run as it is now, and where it is now."""
+    is_same = run.data.tags.get(DIGEST) == snapshot.last_tags[DIGEST]
+    is_here = run.data.tags.get("run_dir") == snapshot.tags["run_dir"]
+    return is_same and is_here and store.has_artifacts(run, snapshot.files)
+
+
+def _rename(store: Store, run: "Run", snapshot: RunSnapshot) -> None:
+    """Show a success rate first in MLflow's UI: in a run's name, unless a user has given it one."""
+    if run.info.run_name == snapshot.first_name != snapshot.last_name:
+        with store.writing() as client:
+            client.update_run(run.info.run_id, name=snapshot.last_name)
 
 
 def _create(store: Store, experiment_id: str, tags: Mapping[str, str], name: str) -> "Run":

@@ -22,7 +22,7 @@ from parking_exp.runs.atomic_files import write_atomically, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import read_state
-from parking_exp.sweeps.hydra_launcher import Launcher
+from parking_exp.sweeps.launchers import Launcher
 from parking_exp.sweeps.local import LocalLauncher, run_workers
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.sweep import PlannedRun, sweep
@@ -66,7 +66,7 @@ def run_search(search: Search, launcher: Launcher) -> None:
     n_workers = request.n_workers or launcher.n_jobs
     stored = read_search(search.folder)
     trials = stored.trials[: request.n_trials] if stored else []
-    _describe(search, trials, n_workers, out)
+    _print_request(search, trials, n_workers, out)
     if request.dry_run:
         return
 
@@ -88,7 +88,9 @@ def _count_left(trials: Sequence[TrialRow], n_trials: int) -> int:
     return n_trials - sum(trial.state in ("done", "pruned", "failed") for trial in trials)
 
 
-def _describe(search: Search, trials: Sequence[TrialRow], n_workers: int, out: Console) -> None:
+def _print_request(
+    search: Search, trials: Sequence[TrialRow], n_workers: int, out: Console
+) -> None:
     """Print the space, the budget and the progress."""
     request = search.request
     settings = request.search

@@ -26,7 +26,7 @@ from parking_exp.config.compose import compose_runs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import read_state
-from parking_exp.sweeps.hydra_launcher import launcher_of
+from parking_exp.sweeps.launchers import launcher_of
 from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.sweep import plan

@@ -10,7 +10,7 @@ from support.runs import names_in
 
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.runs.metric_logs import APPENDED, restore_logs
+from parking_exp.runs.metric_logs import LOGS, restore_logs
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import SavedProgress
 
@@ -152,7 +152,7 @@ def test_the_best_model_and_the_logs_go_back_to_the_checkpoint(tmp_path, model):
         (tmp_path / name).write_text(f"{name}: kept\n")
     folder = save(tmp_path / "checkpoints", model, 10, best=best)
     best.write_bytes(b"a later one")
-    for name in APPENDED:
+    for name in LOGS:
         with (tmp_path / name).open("a") as file:
             file.write("half a l")
     restore(folder, model, best=best)
@@ -162,4 +162,4 @@ def test_the_best_model_and_the_logs_go_back_to_the_checkpoint(tmp_path, model):
         assert (tmp_path / name).read_text() == f"{name}: kept\n"
     assert not (tmp_path / "monitor.csv").exists()  # it did not exist yet at the checkpoint
     restore_logs(tmp_path, None)
-    assert not any((tmp_path / name).exists() for name in APPENDED)
+    assert not any((tmp_path / name).exists() for name in LOGS)
