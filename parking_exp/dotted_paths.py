@@ -16,10 +16,12 @@ def import_object(path: str, setting: str = "") -> Any:
     Raises:
         ConfigError: it does not exist, or its module cannot be imported.
     """
+    prefix = f"{setting}: " if setting else ""
     module, _, name = str(path).rpartition(".")
+    if not module:
+        raise ConfigError(f"{prefix}give a dotted path, MODULE.NAME")
     try:
         return getattr(import_module(module), name)
     except Exception as error:  # whatever a module does when it is imported
-        prefix = f"{setting}: " if setting else ""
         extra = "; pip install 'parking-exp[contrib]'" if module.startswith("sb3_contrib") else ""
         raise ConfigError(f"{prefix}{class_and_message(error)}{extra}") from error

@@ -113,6 +113,8 @@ def refusal(plain):
             "features=raw",
         ),
         (f"{POLICY}.activation_fn", "torch.nn.Tan", "no attribute 'Tan'"),
+        (f"{POLICY}.activation_fn", "relu", "MODULE.NAME"),
+        (f"{POLICY}.activation_fn", 3, "MODULE.NAME"),
         (f"{POLICY}.activation_fn", "torch.optim.Adam", "torch.nn.Module"),
         (
             f"{POLICY}.activation_fn",
