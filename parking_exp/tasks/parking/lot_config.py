@@ -24,29 +24,17 @@ def bounds(value: Any) -> tuple[Any, Any]:
     return value, value
 
 
-def _check_sampled(value: Any, limits: tuple[float, float], sentence: str) -> float | list[float]:
-    """Return a number, or the lowest and the highest of those that scenes sample."""
-    low, high = bounds(value)
-    are_numbers = {type(low), type(high)} <= {int, float}
-    lowest, highest = limits
-    if not (are_numbers and lowest <= low <= high <= highest):
-        raise ValueError(sentence)
-    return [float(low), float(high)] if isinstance(value, list) else float(value)
+def _sampled(lowest: float, highest: float, sentence: str) -> AfterValidator:
+    """Return the validator of a number, or of the lowest and the highest that scenes sample."""
 
+    def check(value: Any) -> float | list[float]:
+        low, high = bounds(value)
+        are_numbers = {type(low), type(high)} <= {int, float}
+        if not (are_numbers and lowest <= low <= high <= highest):
+            raise ValueError(sentence)
+        return [float(low), float(high)] if isinstance(value, list) else float(value)
 
-def _check_length(value: Any) -> float | list[float]:
-    sentence = "give a length of at most 1000 m, or the lowest and the highest: [6, 7]"
-    return _check_sampled(value, (TINY, MAX_M), sentence)
-
-
-def _check_end(value: Any) -> float | list[float]:
-    sentence = "give a length from 0 to 1000 m, or the lowest and the highest: [6, 7]"
-    return _check_sampled(value, (0.0, MAX_M), sentence)
-
-
-def _check_angle(value: Any) -> float | list[float]:
-    sentence = "give an angle from 0 to 90 degrees, or the lowest and the highest: [45, 90]"
-    return _check_sampled(value, (0.0, 90.0), sentence)
+    return AfterValidator(check)
 
 
 def _check_order(value: list[float]) -> list[float]:
@@ -67,9 +55,13 @@ def _is_missing(value: Any) -> bool:
     return value is None
 
 
-Length = Annotated[Any, AfterValidator(_check_length)]
-End = Annotated[Any, AfterValidator(_check_end)]
-Angle = Annotated[Any, AfterValidator(_check_angle)]
+LENGTH = "give a length of at most 1000 m, or the lowest and the highest: [6, 7]"
+END = "give a length from 0 to 1000 m, or the lowest and the highest: [6, 7]"
+ANGLE = "give an angle from 0 to 90 degrees, or the lowest and the highest: [45, 90]"
+
+Length = Annotated[Any, _sampled(TINY, MAX_M, LENGTH)]
+End = Annotated[Any, _sampled(0.0, MAX_M, END)]
+Angle = Annotated[Any, _sampled(0.0, 90.0, ANGLE)]
 Ordered = Annotated[Bounds, AfterValidator(_check_order)]
 VehiclesCount = Annotated[Any, AfterValidator(_check_vehicles_count)]
 
