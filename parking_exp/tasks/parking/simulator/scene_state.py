@@ -56,16 +56,17 @@ class SceneState:
         """Return the state in which scenes start."""
         n, count = scenes.vehicles.shape
         goal = scenes.goal_pose
+        standing = np.zeros(n)
         vehicle_pose = scenes.vehicle_pose
         return cls(
             goal=goal,
-            goal_features=goal_features(goal),
+            goal_features=scaled_features(goal[:, :2].T, direction_of(goal[:, 2]), standing),
             slot_size=scenes.slot_size.copy(),
             free=scenes.free,
             position=scenes.start[:, :2].T.copy(),
             heading=scenes.heading.copy(),
             direction=direction_of(scenes.heading),
-            speed=np.zeros(n),
+            speed=standing,
             crashed=np.zeros(n, bool),
             steps=np.zeros(n, np.int64),
             vehicles=vehicle_pose[..., :2],
@@ -92,14 +93,16 @@ class SceneState:
             array[(slice(None), rows) if name in COLUMNS else rows] = getattr(other, name)
 
 
-def goal_features(pose: np.ndarray) -> np.ndarray:
-    """Return x, y, vx, vy, cos_h, sin_h of standing goals, in units of the observation.
+def scaled_features(position: np.ndarray, direction: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Return x, y, vx, vy, cos_h, sin_h in units of the observation, shape (n, 6).
 
-    Poses have the shape (n, 3), the result (n, 6).
+    Args:
+        position, direction: of cars or goals, shape (2, n) [m].
+        speed: shape (n,) [m/s].
     """
-    features = np.zeros((len(pose), len(DEFAULT_FEATURES)))
-    features[:, :2] = pose[:, :2]
-    features[:, 4] = np.cos(pose[:, 2])
-    features[:, 5] = np.sin(pose[:, 2])
-    features /= SCALES
-    return features
+    features = np.empty((len(DEFAULT_FEATURES), len(speed)))
+    features[:2] = position
+    features[4:] = direction
+    np.multiply(speed, direction, out=features[2:4])
+    features /= SCALES[:, None]
+    return np.ascontiguousarray(features.T)

@@ -24,7 +24,7 @@ from parking_exp.tasks.parking.geometry import (
 )
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
-from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, ParkingConfig
+from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.pose import PoseInSlot, pose_in_slot
 from parking_exp.tasks.parking.rays import ray_distances
 from parking_exp.tasks.parking.reward import reward_of
@@ -36,7 +36,7 @@ from parking_exp.tasks.parking.simulator.dynamics import (
     limited_acceleration,
     slip_angle,
 )
-from parking_exp.tasks.parking.simulator.scene_state import MOVING, SCALES, SceneState
+from parking_exp.tasks.parking.simulator.scene_state import MOVING, SceneState, scaled_features
 from parking_exp.tasks.task import EvaluationBatch, Step
 
 HALF_CAR_M = np.array([[CAR_LENGTH_M / 2], [CAR_WIDTH_M / 2]])
@@ -93,7 +93,8 @@ class Simulator(EvaluationBatch):
 
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
         """Return the observation of all scenes, or of some."""
-        car = self._car_features(rows)
+        state = self.state
+        car = scaled_features(state.position[:, rows], state.direction[:, rows], state.speed[rows])
         seen = [car]
         if self.n_seen:
             seen.append(self._observe_vehicles(rows))
@@ -102,7 +103,7 @@ class Simulator(EvaluationBatch):
         return {
             "observation": np.concatenate(seen, axis=1),
             "achieved_goal": car,
-            "desired_goal": self.state.goal_features[rows].copy(),
+            "desired_goal": state.goal_features[rows].copy(),
         }
 
     def _observe_vehicles(self, rows: np.ndarray | slice) -> np.ndarray:
@@ -305,16 +306,6 @@ class Simulator(EvaluationBatch):
                 state.impact[:] = 0.0
             state.direction = direction_of(state.heading)
             self._collisions.resolve(state, fixtures)
-
-    def _car_features(self, rows: np.ndarray | slice) -> np.ndarray:
-        """Return x, y, vx, vy, cos_h, sin_h of the cars in units of the observation, (n, 6)."""
-        state = self.state
-        features = np.empty((len(DEFAULT_FEATURES), len(state.heading[rows])))
-        features[:2] = state.position[:, rows]
-        features[4:] = state.direction[:, rows]
-        np.multiply(state.speed[rows], features[4:], out=features[2:4])
-        features /= SCALES[:, None]
-        return np.ascontiguousarray(features.T)
 
     def _make_step(self) -> Step:
         state = self.state
