@@ -9,7 +9,14 @@ import numpy as np
 
 from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 from parking_exp.tasks.parking.highway_lot import HighwayLot
-from parking_exp.tasks.parking.lot_config import DIMENSIONS, GAP_M, TINY, LotConfig, LotDimensions
+from parking_exp.tasks.parking.lot_config import (
+    DIMENSIONS,
+    GAP_M,
+    TINY,
+    LotConfig,
+    LotDimensions,
+    bounds,
+)
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, scene_rng
 
@@ -217,15 +224,17 @@ handed: whether it differs from its mirror image.
 
 def lot_of(config: ParkingConfig) -> Lot:
     """Return the lot of an `env` group, or its lots in one."""
-    lots = config.lot_configs.values()
-    if lots:
-        return make_lot(lots, config.vehicles_count)
-    return HighwayLot(config.vehicles_range, config.obstacles)
+    return make_lot(config.lot_configs.values(), config.vehicles_count, config.obstacles)
 
 
-def make_lot(configs: Iterable[LotConfig], vehicles_count: Any) -> ParametricLot | SeveralLots:
-    """Return the lot of one config, or one lot of several; `vehicles_count` is the env's."""
+def make_lot(configs: Iterable[LotConfig], vehicles_count: Any, n_obstacles: int = 0) -> Lot:
+    """Return the lot of one config, one lot of several, or highway-env's own for none.
+
+    `vehicles_count` and `n_obstacles` are the env's.
+    """
     lots = [ParametricLot(config, config.vehicles_range(vehicles_count)) for config in configs]
+    if not lots:
+        return HighwayLot(bounds(vehicles_count), n_obstacles)
     if len(lots) == 1:
         return lots[0]
     return SeveralLots(lots)

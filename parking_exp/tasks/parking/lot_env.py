@@ -12,7 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, Obstacle
 
 from parking_exp.tasks.parking.geometry import walls_around
-from parking_exp.tasks.parking.lot import make_lot
+from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
@@ -27,7 +27,7 @@ class LotEnv(ParkingEnv):
     """
 
     def __init__(self, config: ParkingConfig, render_mode: str | None = None) -> None:
-        self.lot = make_lot(config.lot_configs.values(), config.vehicles_count)
+        self.lot: Any = lot_of(config)  # not highway-env's own
         self.goal_reward = reward_of(config)
         super().__init__(config.highway_options(), render_mode)
 
