@@ -73,7 +73,7 @@ def _make_state_space(free_space: FreeSpace, radius_m: float) -> Any:
     """Return the poses between the walls, joined by curves with a smallest radius."""
     state_space = base.ReedsSheppStateSpace(radius_m)
     bounds = base.RealVectorBounds(2)
-    for axis, half in enumerate(free_space.half_box[:, 0].tolist()):
+    for axis, half in enumerate(free_space.free[:, 0].tolist()):
         bounds.setLow(axis, -half)
         bounds.setHigh(axis, half)
     state_space.setBounds(bounds)
