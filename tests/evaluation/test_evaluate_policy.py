@@ -19,10 +19,11 @@ from parking_exp.evaluation.evaluate_policy import (
 )
 from parking_exp.tasks.metrics import episode_columns, outcome
 from parking_exp.tasks.parking.driven_path import reeds_shepp_m
+from parking_exp.tasks.parking.geometry import SLOT_LENGTH_M, SLOT_WIDTH_M
 from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.pose import PoseInSlot, pose_in_slot
+from parking_exp.tasks.parking.pose import is_parked, pose_in_slot
 from parking_exp.tasks.registry import make_task
 
 
@@ -107,20 +108,20 @@ def test_the_shortest_path_has_turns_of_the_smallest_radius(end, length_m):
 @pytest.mark.parametrize(
     ("pose", "parked"),
     [
-        (PoseInSlot(0, 0, 0, 0), True),
-        (PoseInSlot(1.5, 0, 0, 0), True),  # the front bumper on the line: 1.5 + 5 / 2 = 4
-        (PoseInSlot(1.51, 0, 0, 0), False),
-        (PoseInSlot(0, 1.0, 0, 0), True),  # the side on the line: 1 + 2 / 2 = 2
-        (PoseInSlot(0, -1.01, 0, 0), False),
-        (PoseInSlot(0, 0, math.radians(9.9), 0), True),
-        (PoseInSlot(0, 0, math.radians(-10.1), 0), False),
-        (PoseInSlot(0, 0.7, math.radians(9.9), 0), False),  # turned, a corner is over the line
-        (PoseInSlot(0, 0, 0, 0.49), True),
-        (PoseInSlot(0, 0, 0, -0.5), False),
+        ((0, 0, 0, 0), True),
+        ((1.5, 0, 0, 0), True),  # the front bumper on the line: 1.5 + 5 / 2 = 4
+        ((1.51, 0, 0, 0), False),
+        ((0, 1.0, 0, 0), True),  # the side on the line: 1 + 2 / 2 = 2
+        ((0, -1.01, 0, 0), False),
+        ((0, 0, math.radians(9.9), 0), True),
+        ((0, 0, math.radians(-10.1), 0), False),
+        ((0, 0.7, math.radians(9.9), 0), False),  # turned, a corner is over the line
+        ((0, 0, 0, 0.49), True),
+        ((0, 0, 0, -0.5), False),
     ],
 )
 def test_parked_is_inside_the_lines_straight_and_stationary(pose, parked):
-    assert pose.parked is parked
+    assert is_parked(*pose, SLOT_LENGTH_M, SLOT_WIDTH_M) == parked
 
 
 def test_the_pose_is_seen_from_the_slot():
