@@ -42,7 +42,7 @@ def test_a_path_leads_from_the_start_to_the_goal_and_touches_nothing(env):
         assert pose[:2] == pytest.approx(rear, abs=1e-9)
         assert np.cos(pose[2] - heading) == pytest.approx(1, abs=1e-9)
     shapes = scene_shapes(scenes, 0, walls=True)
-    others = [*shapes.parked_cars, *shapes.walls]
+    others = [*shapes["parked_cars"], *shapes["walls"]]
     lot = shapely.union_all([polygon(*other) for other in others])
     assert min(car.distance(lot) for car in cars(path)) > 0
 

@@ -135,22 +135,22 @@ def test_shapes_of_a_scene_are_those_of_highway_env(overrides):
         (goal,) = [item for item in lot.road.objects if isinstance(item, Landmark)]
         others = [vehicle for vehicle in lot.road.vehicles if vehicle is not lot.vehicle]
         theirs = [lot.vehicle, *others, *obstacles]
-        ours = [shapes.car, *shapes.parked_cars, *shapes.walls, *shapes.obstacles]
+        ours = [shapes["car"], *shapes["parked_cars"], *shapes["walls"], *shapes["obstacles"]]
         rectangles = [(*each.position, each.heading, each.LENGTH, each.WIDTH) for each in theirs]
         np.testing.assert_allclose(ours, rectangles, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(shapes.goal[:3], [*goal.position, goal.heading], atol=1e-12)
-        np.testing.assert_array_equal(shapes.goal, shapes.slots[scenes.goal[row]])
+        np.testing.assert_allclose(shapes["goal"][:3], [*goal.position, goal.heading], atol=1e-12)
+        np.testing.assert_array_equal(shapes["goal"], shapes["slots"][scenes.goal[row]])
         lanes = lot.road.network.lanes_list()
         slots = [(*lane.position(lane.length / 2, 0), lane.length, lane.width) for lane in lanes]
-        np.testing.assert_allclose(shapes.slots[:, [0, 1, 3, 4]], slots, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(shapes["slots"][:, [0, 1, 3, 4]], slots, rtol=0, atol=1e-12)
 
 
 def test_an_env_without_walls_and_obstacles_shows_none():
     scenes = lot_of(compose("env=parking").env).from_seeds([0])
     shapes = scene_shapes(scenes, 0, walls=False)
-    for none in (shapes.walls, shapes.obstacles, shapes.parked_cars):
+    for none in (shapes["walls"], shapes["obstacles"], shapes["parked_cars"]):
         assert none.shape == (0, 5)
-    assert len(shapes.slots) == 28
+    assert len(shapes["slots"]) == 28
 
 
 def test_the_page_has_poses_and_controls_to_half_a_unit():

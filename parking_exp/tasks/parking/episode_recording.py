@@ -8,7 +8,7 @@ import numpy as np
 from parking_exp.tasks.metrics import outcome
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
-from parking_exp.tasks.parking.scene_shapes import SceneShapes, scene_shapes
+from parking_exp.tasks.parking.scene_shapes import scene_shapes
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.rollout import rollout
 from parking_exp.tasks.task import Observation, Policy
@@ -23,7 +23,8 @@ class RecordedEpisode:
 
     seed: int
     outcome: str
-    shapes: SceneShapes  # at the start; parked cars that are pushed later stay there
+    # At the start, see `scene_shapes`; parked cars that are pushed later stay there.
+    shapes: dict[str, np.ndarray]
     # At the start and after each policy step, shape (1 + steps, MOTION). Acceleration and steering
     # are those that the policy asked for in the step before; 0 at the start.
     motion: np.ndarray

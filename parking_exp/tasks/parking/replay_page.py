@@ -48,7 +48,7 @@ def _recording(episodes: Sequence[RecordedEpisode], steps_per_s: float) -> dict[
     scenes = []
     for episode in episodes:
         scene = {"seed": episode.seed, "outcome": episode.outcome}
-        for name, shape in vars(episode.shapes).items():
+        for name, shape in episode.shapes.items():
             scene[name] = np.round(shape, 3).tolist()
         scenes.append(scene)
 
