@@ -52,7 +52,7 @@ def _filled(cls: Any, capacity: int, transitions: int) -> Any:
     env = ParkingVecEnv(config, N_ENVS)
     options: dict[str, Any] = {"env": env}
     if cls is HerBuffer:
-        options = {"reward": ParkingReward.of(config.for_training())}
+        options = {"reward": ParkingReward(config.for_training())}
     buffer = cls(
         capacity, env.observation_space, env.action_space, device="cpu", n_envs=N_ENVS, **options
     )

@@ -23,7 +23,7 @@ from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 
-REWARD = ParkingReward.of(compose().env)
+REWARD = ParkingReward(compose().env)
 ALGORITHMS = ("SAC", "TD3", "DDPG")
 
 

@@ -18,7 +18,7 @@ from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 ENV = compose().env
-REWARD, SPARSE = ParkingReward.of(ENV), ParkingReward.of(compose("env=parking_sparse").env)
+REWARD, SPARSE = ParkingReward(ENV), ParkingReward(compose("env=parking_sparse").env)
 GOALS = spaces.Box(-np.inf, np.inf, (6,), np.float64)
 SPACES = (
     spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), GOALS)),

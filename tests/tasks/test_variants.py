@@ -60,7 +60,7 @@ def test_success_of_parking_stop_means_parked():
     """Every pose that highway-env's own criterion accepts is inside the lines, straight and
     standing; and some are.
     """
-    reward = ParkingReward.of(compose("env=parking_stop").env)
+    reward = ParkingReward(compose("env=parking_stop").env)
     rng, n = np.random.default_rng(0), 200_000
     off = (
         rng.uniform(-1, 1, (n, 4)) * [1.1, 1.6, 0.6, 0.2] * rng.random((n, 1))
@@ -102,7 +102,7 @@ def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
     achieved = goal + np.array([0.0121, 0, 0, 0, 0, 0])
     for goal_reward, is_reached in (
         (envs.get_attr("goal_reward")[0], False),
-        (ParkingReward.of(config), True),
+        (ParkingReward(config), True),
     ):
         reward, reached = goal_reward(achieved, goal)
         assert (reward.item(), reached.item()) == (pytest.approx(-0.11), is_reached)

@@ -1,8 +1,5 @@
 """Goal rewards of many goals at once, without the collision term: highway-env's, other lots'."""
 
-from dataclasses import dataclass, field
-from typing import Self
-
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import in_frame
@@ -15,31 +12,28 @@ from parking_exp.tasks.parking.pose import PARKED_SPEED_MPS, is_parked
 from parking_exp.tasks.task import GoalReward
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
 class ParkingReward(GoalReward):
-    """The reward of an env variant; goals are x, y, vx, vy, cos_h, sin_h in highway-env's scale."""
+    """The reward of an env variant; goals are x, y, vx, vy, cos_h, sin_h in highway-env's scale.
 
-    weights: np.ndarray  # of the features' distances, shape (6,)
-    threshold: float  # the dense reward above which a goal counts as reached
-    failure_penalty: float = field()  # what a crash adds to the reward; the base has a default
-    # Whether the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance.
-    sparse: bool
-    standing_reward: float  # added where the car stands outside its slot; `LotReward` only
+    Attributes:
+        weights: of the features' distances, shape (6,).
+        threshold: the dense reward above which a goal counts as reached.
+        failure_penalty: what a crash adds to the reward.
+        sparse: whether the reward is 0 where the goal is reached and -1 elsewhere, instead of the
+            distance.
+        standing_reward: added where the car stands outside its slot; `LotReward` only.
+    """
 
     failure_key = "crashed"
     # Which features of a goal are a velocity.
     velocity = tuple(DEFAULT_FEATURES.index(name) for name in ("vx", "vy"))
 
-    @classmethod
-    def of(cls, config: ParkingConfig) -> Self:
-        """Return the reward of an `env` group."""
-        return cls(
-            weights=np.array(config.reward_weights, np.float64),
-            threshold=-config.success_goal_reward,
-            failure_penalty=config.collision_reward,
-            sparse=config.reward == "sparse",
-            standing_reward=config.standing_reward,
-        )
+    def __init__(self, config: ParkingConfig) -> None:
+        self.weights = np.array(config.reward_weights, np.float64)
+        self.threshold = -config.success_goal_reward
+        self.failure_penalty = config.collision_reward
+        self.sparse = config.reward == "sparse"
+        self.standing_reward = config.standing_reward
 
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
@@ -114,5 +108,5 @@ class LotReward(ParkingReward):
 def reward_of(config: ParkingConfig) -> ParkingReward:
     """Return the reward of an `env` group."""
     if config.lot_configs:
-        return LotReward.of(config)
-    return ParkingReward.of(config)
+        return LotReward(config)
+    return ParkingReward(config)
