@@ -52,15 +52,11 @@ def _space_problem(env: gym.Env, env_id: str) -> str | None:
     for key, entry in entries.items():
         if not isinstance(entry, VECTORS) or len(entry.shape) != 1:
             return f"{env_id} has the {key} {entry}; it has to be a vector"
-    if not isinstance(actions, spaces.Box) or not actions.is_bounded():
+    is_float = isinstance(actions, spaces.Box) and np.issubdtype(actions.dtype, np.floating)
+    if not is_float or not actions.is_bounded():
         return (
-            f"{env_id} has the actions {actions}; they have to be continuous with finite bounds "
-            "(Box)"
-        )
-    if not np.issubdtype(actions.dtype, np.floating):
-        return (
-            f"{env_id} has the actions {actions}; they have to be float32, and can be rounded in "
-            "`step`"
+            f"{env_id} has the actions {actions}; they have to be continuous, a Box of float32 "
+            "with finite bounds, and can be rounded in `step`"
         )
     if not env.has_wrapper_attr("compute_reward"):
         return f"{env_id} is not a goal environment: it has no compute_reward"

@@ -137,7 +137,7 @@ class Task(ABC):
     metrics: tuple[Metric, ...] = GYMNASIUM_METRICS
     failure = "failure"
     monitored: tuple[str, ...] = ("is_success",)
-    batch_size = 500
+    batch_size = 500  # long episodes keep a batch going, so few large ones are faster
     _prediction_env: "VecEnv | None" = None
 
     @abstractmethod

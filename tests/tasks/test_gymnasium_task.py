@@ -90,7 +90,7 @@ def config(env_id, *overrides):
         (
             f"{TOY}IntegerActions-v0",
             [],
-            r"actions Box\(-5, 5, \(8,\), int64\); they have to be float32",
+            r"actions Box\(-5, 5, \(8,\), int64\); they have to be continuous, a Box of float32",
         ),
         (
             f"{TOY}Drawn-v0",

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from gymnasium.utils.seeding import np_random
 
 from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 from parking_exp.tasks.parking.highway_lot import HighwayLot
@@ -18,7 +19,7 @@ from parking_exp.tasks.parking.lot_config import (
     bounds,
 )
 from parking_exp.tasks.parking.parking_config import ParkingConfig
-from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, scene_rng
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
 # Of `LotDimensions`, the ones that a scene always takes a number for, and takes first. The others
 # come last, and only those that are ranges: the scenes of lots without such ranges are what they
@@ -43,7 +44,8 @@ class SampledLot(ABC):
         """Return the scenes of `env.reset(seed=s)`."""
         draws = np.empty((len(seeds), self.n_draws))
         for row, seed in enumerate(seeds):
-            draws[row] = scene_rng(seed).random(self.n_draws)
+            rng, _ = np_random(int(seed))
+            draws[row] = rng.random(self.n_draws)
         return self.scenes(draws)
 
     def random(self, rng: np.random.Generator, n: int) -> Scenes:

@@ -28,7 +28,6 @@ class ParkingTask(Task):
     failure = "crash"
     env_id = ENV_ID
     monitored: tuple[str, ...] = ("is_success", "crashed")
-    batch_size = 500  # timeouts keep a batch going for 500 steps, so few large ones are faster
 
     def __init__(self, config: ParkingConfig) -> None:
         self.config = config
