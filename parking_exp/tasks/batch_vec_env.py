@@ -8,10 +8,8 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.tasks.task import EvaluationBatch, GoalReward, Observation
-
-TRAINING_SEEDS = (TRAINING_SEEDS_START, 2 * TRAINING_SEEDS_START)
+from parking_exp.tasks.task_config import TaskConfig
 
 
 class TrainingBatch(EvaluationBatch, Protocol):
@@ -59,7 +57,9 @@ class BatchVecEnv(VecEnv):
 
     def sample(self, rng: np.random.Generator, number: int) -> Any:
         """Return random episodes, which no evaluation has."""
-        return rng.integers(*TRAINING_SEEDS, number).tolist()
+        # Those of all tasks: a config's own `training_seeds` are for the first episodes.
+        seeds = TaskConfig.training_seeds
+        return rng.integers(seeds.start, seeds.stop, number).tolist()
 
     def reset(self) -> VecEnvObs:
         """Start an episode in every env and return the first observations."""

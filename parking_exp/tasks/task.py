@@ -111,8 +111,9 @@ class EvaluationBatch(Protocol):
         """Keep only some of the episodes, by mask."""
 
     def ending(self, row: int) -> Any:
-        """Return the state at the end of an episode that has just ended, as `Episode.end` of its
-        metrics; None where the outcome is all that is known.
+        """Return what metrics of an episode that has just ended get as `Episode.end`.
+
+        It is None if nothing but the outcome is known.
         """
         return None
 

@@ -82,23 +82,23 @@ def make_training_envs(
 def get_state(envs: VecEnv) -> dict[str, Any]:
     """Return the state of training envs as nested dicts and lists of arrays and numbers."""
     assert isinstance(envs, VecMonitor)
-    simulated: Any = envs.venv
-    has_state = hasattr(simulated, "get_state")  # of all envs together, as the simulator of parking
+    inner: Any = envs.venv
+    has_state = hasattr(inner, "get_state")  # of all envs together, as the simulator of parking
     return {
         "monitor": {name: getattr(envs, name) for name in MONITOR_STATE},
-        "envs": simulated.get_state() if has_state else simulated.env_method("get_state"),
+        "envs": inner.get_state() if has_state else inner.env_method("get_state"),
     }
 
 
 def set_state(envs: VecEnv, state: dict[str, Any]) -> None:
     """Bring training envs of the same config to a saved state; what follows is identical."""
     assert isinstance(envs, VecMonitor)
-    simulated: Any = envs.venv
+    inner: Any = envs.venv
     for name in MONITOR_STATE:
         setattr(envs, name, state["monitor"][name])
-    if hasattr(simulated, "get_state"):
-        simulated.set_state(state["envs"])
+    if hasattr(inner, "get_state"):
+        inner.set_state(state["envs"])
         return
-    simulated._reset_seeds()  # the seeds of a first reset, which was before the state was saved
+    inner._reset_seeds()  # the seeds of a first reset, which was before the state was saved
     for index, env_state in enumerate(state["envs"]):
-        simulated.env_method("set_state", env_state, indices=[index])
+        inner.env_method("set_state", env_state, indices=[index])

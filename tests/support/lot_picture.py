@@ -12,7 +12,7 @@ from parking_exp.config.compose import compose
 from parking_exp.figure_style import report_style
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M
 from parking_exp.tasks.parking.lot import lot_of
-from parking_exp.tasks.parking.lot_figures import DrawnLot, draw_lots, draw_polygons, rectangles
+from parking_exp.tasks.parking.lot_figures import DrawnLot, draw_lots, draw_polygons, outlines
 from parking_exp.tasks.parking.scenes import NO_SLOT
 
 LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end")
@@ -31,10 +31,10 @@ def draw():
     for axes, cell in zip(panels, cells, strict=True):
         scene = cell.figure_data.scene
         parked = scene.vehicle_pose[0][scene.vehicles[0] != NO_SLOT]
-        goal = rectangles(scene.goal_pose, *scene.slot_size[0])
+        goal = outlines(scene.goal_pose, *scene.slot_size[0])
         draw_polygons(axes, goal, facecolors="#56B4E9")
         for poses, colour in ((parked, "#b0b4b9"), (scene.start, "#009E73")):
-            cars = rectangles(poses, CAR_LENGTH_M, CAR_WIDTH_M)
+            cars = outlines(poses, CAR_LENGTH_M, CAR_WIDTH_M)
             draw_polygons(axes, cars, facecolors=colour)
     return figure
 

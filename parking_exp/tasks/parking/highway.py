@@ -111,8 +111,8 @@ def _scaled_features(sensor: Any, thing: Any) -> np.ndarray:
 class HighwayBatch(EnvBatch):
     """n scenes of highway-env itself, an env for each, without autoreset."""
 
-    def __init__(self, config: ParkingConfig, scenes: Sequence[int]) -> None:
-        super().__init__([make_parking_env(config) for _ in scenes], scenes, "crashed")
+    def __init__(self, config: ParkingConfig, seeds: Sequence[int]) -> None:
+        super().__init__([make_parking_env(config) for _ in seeds], seeds, "crashed")
         self.config = config
         for env in self.envs:
             skip_unused_work(env)

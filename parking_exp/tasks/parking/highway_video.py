@@ -19,7 +19,7 @@ from parking_exp.tasks.task import Policy
 MAX_EPISODE_S = 20  # a timeout lasts 100 s, and shows mostly a car that does not move
 
 
-def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iterator[np.ndarray]:
+def frames(policy: Policy, config: ParkingConfig, seeds: Sequence[int]) -> Iterator[np.ndarray]:
     """Yield each episode's frames: its start, all simulation frames, and a second of its end.
 
     Episodes are cut after `MAX_EPISODE_S` seconds.
@@ -28,14 +28,14 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
     os.environ["SDL_VIDEODRIVER"] = "offscreen"
     with closing(make_parking_env(config, render_mode="rgb_array")) as env:
         draw = _camera(env)
-        for scene in scenes:
-            batch = EnvBatch([env], [scene], "crashed")
+        for seed in seeds:
+            batch = EnvBatch([env], [seed], "crashed")
             skip_unused_work(env)
-            steps = rollout(policy, batch, [scene])
+            steps = rollout(policy, batch, [seed])
             yield from episode_frames(
                 islice(steps, MAX_EPISODE_S * config.policy_frequency),
                 draw,
-                f"scene {scene}",
+                f"scene {seed}",
                 "crash",
                 config.simulation_frequency,
                 cut=f"cut after {MAX_EPISODE_S} s",

@@ -21,9 +21,8 @@ from parking_exp.tasks.parking.lot_config import (
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
-# Of `LotDimensions`, the ones that a scene always takes a number for, and takes first. The others
-# come last, and only those that are ranges: the scenes of lots without such ranges are what they
-# were.
+# Every scene draws the first three of the `LotDimensions`, before all else. It draws the others
+# last, and only those that are ranges, so that lots without such ranges keep their scenes.
 N_FIRST = 3
 
 

@@ -71,7 +71,7 @@ def _draw_cars(axes: Axes, paths: pd.DataFrame, colour: str | None) -> None:
         lines.append(path[["x_m", "y_m"]].to_numpy())
     axes.add_collection(LineCollection(lines, colors=colour, linewidths=0.5), autolim=False)
     ends = paths.groupby(EPISODE_SEED)[[*PATH_COLUMNS]].last().to_numpy()
-    cars = rectangles(ends, CAR_LENGTH_M, CAR_WIDTH_M)
+    cars = outlines(ends, CAR_LENGTH_M, CAR_WIDTH_M)
     draw_polygons(axes, cars, facecolors=f"{colour}30", edgecolors=colour, linewidths=0.5)
 
 
@@ -166,7 +166,7 @@ def draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
         scene = cell.figure_data.scene
         draw_polygons(axes, _slots(scene), facecolors="none", **OUTLINE)
         if cell.figure_data.walls:
-            box = rectangles(np.zeros((1, 3)), *scene.box[0])
+            box = outlines(np.zeros((1, 3)), *scene.box[0])
             style = {"facecolors": "none", "edgecolors": WALL, "linewidths": 1.8}
             draw_polygons(axes, box, clip_on=False, **style)
     return figure, panels
@@ -174,7 +174,7 @@ def draw_lots(cells: Sequence[Any]) -> tuple[Figure, list[Axes]]:
 
 def _slots(scene: Scenes) -> np.ndarray:
     """Return the corners of the slots of one scene, shape (slots, 4, 2) [m]."""
-    return rectangles(scene.slots[0], *scene.slot_size[0])
+    return outlines(scene.slots[0], *scene.slot_size[0])
 
 
 def draw_polygons(axes: Axes, polygons: np.ndarray, **style: Any) -> PolyCollection:
@@ -184,6 +184,6 @@ def draw_polygons(axes: Axes, polygons: np.ndarray, **style: Any) -> PolyCollect
     return shapes
 
 
-def rectangles(poses: np.ndarray, length: float, width: float) -> np.ndarray:
+def outlines(poses: np.ndarray, length: float, width: float) -> np.ndarray:
     """Return the corners of equal rectangles with some poses, shape (n, 4, 2) [m]."""
     return corners(poses[:, :2], direction_of(poses[:, 2]).T, length, width)

@@ -70,7 +70,7 @@ class LotReward(ParkingReward):
         assert info is not None, "the size of the slot decides whether a car is parked"
         slot = (desired[..., 4], desired[..., 5])
         x, y, vx, vy = np.moveaxis(achieved[..., :4] - desired[..., :4], -1, 0)
-        ahead, side = in_frame((x, y), slot)
+        ahead, side = in_frame((x, y), slot)  # in units of the observation, as the velocities
         cos_error, sin_error = in_frame((achieved[..., 4], achieved[..., 5]), slot)
         parked = np.asarray(
             is_parked(

@@ -1,6 +1,7 @@
 """The lot of a stored run, made again from its config."""
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import pandas as pd
@@ -18,7 +19,13 @@ def stored_lot(config: Mapping[str, Any]) -> Lot:
             # In a frame, lists are text, and whole numbers may be floats.
             text = str(value).removesuffix(".0")
             settings.append(f"{key}={text}")
-    stored: Any = OmegaConf.to_container(OmegaConf.from_dotlist(settings))
+    return _lot_of(tuple(settings))
+
+
+@cache
+def _lot_of(settings: tuple[str, ...]) -> Lot:
+    """Return the lot of some keys and values; cells with equal ones share it, and its scenes."""
+    stored: Any = OmegaConf.to_container(OmegaConf.from_dotlist(list(settings)))
     env = stored.get("env", {})
     sections = list(env.get("lots", {}).values())
     if "lot" in env:
