@@ -102,16 +102,16 @@ class Fixtures:
 class Collisions:
     """Collisions of all scenes in a frame of `dt` seconds.
 
-    What can be hit is numbered: the `count` parked cars, then the fixtures.
+    What can be hit is numbered: the `n_parked` parked cars, then the fixtures.
     """
 
-    def __init__(self, dt: float, count: int, n_obstacles: int, *, walls: bool) -> None:
+    def __init__(self, dt: float, n_parked: int, n_obstacles: int, *, walls: bool) -> None:
         self.dt = dt
-        self.count = count
+        self.n_parked = n_parked
         self.n_walls = N_WALLS if walls else 0
         self.n_fixtures = self.n_walls + n_obstacles
         # Of what parked cars can hit: pairs of numbers, in highway-env's order.
-        self._first, self._second = np.triu_indices(count, k=1, m=count + self.n_fixtures)
+        self._first, self._second = np.triu_indices(n_parked, k=1, m=n_parked + self.n_fixtures)
 
     def fixtures(self, state: SceneState) -> Fixtures:
         """Return what `resolve` needs in all frames of the same scenes."""
@@ -130,7 +130,7 @@ class Collisions:
         """Detect a frame's collisions; set crashes, and impacts of the next frame, in the state."""
         self._resolve_cars(state, fixtures)
         # Parked cars stand apart until one of them has been pushed.
-        if self.count and state.pushed.any():
+        if self.n_parked and state.pushed.any():
             self._resolve_parked_cars(state, fixtures)
 
     def _resolve_cars(self, state: SceneState, fixtures: Fixtures) -> None:
@@ -146,19 +146,31 @@ class Collisions:
         now, soon, push = separating_axis(polygons, displacement)
         state.crashed[scene[now]] = True
         if soon.any():
-            self._push_cars(state, scene[soon], target[soon], push[soon])
+            self._push(state, scene[soon], 0, target[soon], push[soon])
 
-    def _push_cars(
-        self, state: SceneState, scene: np.ndarray, target: np.ndarray, push: np.ndarray
+    def _push(
+        self,
+        state: SceneState,
+        scene: np.ndarray,
+        vehicle: np.ndarray | int,
+        target: np.ndarray,
+        push: np.ndarray,
     ) -> None:
-        """Set impacts: walls and obstacles push all the way out, parked cars half, and are pushed
-        as far themselves.
+        """Set by how much vehicles, and their targets, are displaced in the next frame.
+
+        Walls and obstacles push all the way out, parked cars half, and are pushed as far
+        themselves. Vehicle number 0 is the car.
         """
-        if self.count:
-            is_vehicle = target < self.count
-            push[is_vehicle] /= 2
-            _set_impacts(state, scene[is_vehicle], 1 + target[is_vehicle], -push[is_vehicle])
-        _set_impacts(state, scene, 0, push)
+        # The last push of a frame counts. In highway-env's order, a parked car is the target in all
+        # pairs before the first one that it begins, so targets are set first.
+        if self.n_parked:
+            is_parked = target < self.n_parked
+            push[is_parked] /= 2
+            pushed = (scene[is_parked], 1 + target[is_parked])
+            state.hit[pushed] = True
+            state.impact[pushed] = -push[is_parked]
+        state.hit[scene, vehicle] = True
+        state.impact[scene, vehicle] = push
 
     def _near_cars(
         self, state: SceneState, fixtures: Fixtures
@@ -166,9 +178,9 @@ class Collisions:
         """Return scenes, numbers and corners of what the cars may touch, in highway-env's order."""
         travel = state.speed * self.dt
         scene, fixture = self._near_fixtures(state, fixtures, travel)
-        target = self.count + fixture
+        target = self.n_parked + fixture
         shapes = fixtures.corners[scene, fixture]
-        if not self.count:
+        if not self.n_parked:
             return scene, target, shapes
         offset = state.vehicles - state.position.T[:, None]
         near = np.nonzero(length_of(offset) <= CAR_DIAGONAL_M + travel[:, None])
@@ -207,38 +219,24 @@ class Collisions:
         centres = np.concatenate([vehicles, fixtures.centres[scenes]], axis=1)
         shapes = np.concatenate([cars, fixtures.corners[scenes]], axis=1)
         reach = np.full(centres.shape[:2], CAR_DIAGONAL_M)
-        reach[:, self.count :] = fixtures.reach[scenes]
+        reach[:, self.n_parked :] = fixtures.reach[scenes]
         pushed = np.zeros(centres.shape[:2], bool)
-        pushed[:, : self.count] = state.pushed[scenes]
+        pushed[:, : self.n_parked] = state.pushed[scenes]
 
         row, pair = np.nonzero(pushed[:, self._first] | pushed[:, self._second])
         first = self._first[pair]
         second = self._second[pair]
         offset = centres[row, second] - centres[row, first]
         near = length_of(offset) <= reach[row, second]
-        row = row[near, None]
-        targets = np.stack([first[near], second[near]], axis=1)
-        _, soon, push = separating_axis(shapes[row, targets], np.zeros((len(row), 2)))
-
-        targets = targets[soon]
-        push = push[soon]
-        is_vehicle = targets < self.count
-        push[is_vehicle[:, 1]] /= 2
-        # Pair by pair, since the last push of a frame counts.
-        pushes = np.stack([push, -push], axis=1)
-        scene = np.broadcast_to(scenes[row[soon]], targets.shape)
-        _set_impacts(state, scene[is_vehicle], 1 + targets[is_vehicle], pushes[is_vehicle])
+        row = row[near]
+        first = first[near]
+        second = second[near]
+        polygons = shapes[row[:, None], np.stack([first, second], axis=1)]
+        _, soon, push = separating_axis(polygons, np.zeros((len(row), 2)))
+        self._push(state, scenes[row[soon]], 1 + first[soon], second[soon], push[soon])
 
 
 def _parked_cars(position: np.ndarray, heading: np.ndarray) -> np.ndarray:
     """Return the corners of parked cars, shape (..., 4, 2); positions have the shape (..., 2)."""
     direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return corners(position, direction, CAR_LENGTH_M, CAR_WIDTH_M)
-
-
-def _set_impacts(
-    state: SceneState, scene: np.ndarray, vehicle: np.ndarray | int, impact: np.ndarray
-) -> None:
-    """Set by how much vehicles are displaced in the next frame; number 0 is the car itself."""
-    state.hit[scene, vehicle] = True
-    state.impact[scene, vehicle] = impact
