@@ -28,7 +28,10 @@ MOVING = (
 
 @dataclass
 class SceneState:
-    """The complete state of n scenes. Scenes are rows, or columns of `COLUMNS`."""
+    """The complete state of n scenes.
+
+    Arrays have a row for each scene; those in `COLUMNS` have a column.
+    """
 
     goal: np.ndarray  # pose of the goal slots, shape (n, 3) [m, m, rad]
     # x, y, vx, vy, cos_h, sin_h of the goals in units of the observation, shape (n, 6)
