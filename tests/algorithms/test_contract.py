@@ -39,8 +39,10 @@ def state(model, directory):
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp_path):
-    """Parameters, target networks, optimizers, coefficients and actions."""
+def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp_path, monkeypatch):
+    """Parameters, target networks, optimizers, coefficients and actions. Only the filled part of
+    the buffer is saved, and nothing is unpickled.
+    """
     config, best = compose(*SMOKE, *ALGORITHMS[algorithm]), tmp_path / "best.zip"
     model, other = model_of(config).learn(60), model_of(config, seed=1)
     assert model._n_updates > 0
@@ -50,6 +52,9 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp
     saved = state(model, tmp_path)
     model.train(2, model.batch_size)
     updated = state(model, tmp_path)
+    assert (folder / checkpoints.BUFFER).stat().st_size < 60 * 500
+    for name in ("pickle.load", "pickle.loads", "cloudpickle.load", "cloudpickle.loads"):
+        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("unpickled"))
     rollout_state.set_state(other, checkpoints.restore(folder, other, average, best))
     other.train(2, other.batch_size)
     assert updated != saved

@@ -16,47 +16,10 @@ from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.rays import Rays, ray_distances
 from parking_exp.tasks.registry import TRAINING_ONLY
 
-UP = np.pi / 2
-
 
 def rectangles_of(values):
     """Rectangles with these x, y, headings, lengths and widths."""
     return Rectangles(values[..., :2], values[..., 2], values[..., 3:])
-
-
-def distances(rectangles, heading=0.0, rays=4, range_m=10.0):
-    """Distances from a car at the origin to rectangles (x, y, heading, length, width)."""
-    scene = rectangles_of(np.reshape(rectangles, (1, -1, 5)))
-    direction = np.array([[np.cos(heading)], [np.sin(heading)]])
-    return ray_distances(np.zeros((2, 1)), direction, scene, rays, range_m)[0]
-
-
-@pytest.mark.parametrize(
-    ("rectangles", "heading", "expected"),
-    [
-        ([], 0, [10, 10, 10, 10]),
-        ([(5, 0, 0, 2, 2)], 0, [4, 10, 10, 10]),
-        ([(5, 0, 0, 2, 2)], UP, [10, 10, 10, 4]),  # to the right of a car that looks up
-        ([(0, 6, 0, 5, 2)], 0, [10, 5, 10, 10]),
-        ([(0, 6, UP, 5, 2)], 0, [10, 3.5, 10, 10]),
-        ([(-6, 0, UP / 2, 2, 2)], 0, [10, 10, 6 - np.sqrt(2), 10]),  # stands on a corner
-        ([(8, 0, 0, 2, 2), (5, 0, 0, 2, 2)], 0, [4, 10, 10, 10]),  # the nearer one
-        ([(5, 1.5, 0, 2, 2)], 0, [10, 10, 10, 10]),  # half a metre beside a ray along its side
-        ([(11.5, 0, 0, 2, 2)], 0, [10, 10, 10, 10]),  # beyond the range
-        ([(10.5, 0, 0, 2, 2)], 0, [9.5, 10, 10, 10]),
-        ([(0.5, 0, 0, 2, 2)], 0, [0, 0, 0, 0]),  # the centre is within
-        ([(0, -3, 0, 40, 1)], 0, [10, 10, 10, 2.5]),  # a wall, whose centre does not matter
-        ([(19, -3, 0, 40, 1)], 0, [10, 10, 10, 2.5]),
-    ],
-)
-def test_distances_along_four_rays(rectangles, heading, expected):
-    np.testing.assert_allclose(distances(rectangles, heading), expected, rtol=0, atol=1e-12)
-
-
-def test_rays_are_in_equal_angles_counter_clockwise_from_straight_ahead():
-    wall = [(0, 3, 0, 1000, 2)]  # two metres to the left
-    expected = [10, 2 / np.sin(np.pi / 3), 2 / np.sin(np.pi / 3), 10, 10, 10]
-    np.testing.assert_allclose(distances(wall, rays=6), expected, rtol=0, atol=1e-12)
 
 
 def measured(position, heading, polygons, rays, range_m):

@@ -2,15 +2,11 @@
 
 import errno
 
-import numpy as np
 import pytest
-import torch
 from support.models import make_model
 from support.runs import names_in
 
 from parking_exp.algorithms.policy_ema import PolicyEMA
-from parking_exp.buffers import HerBuffer
-from parking_exp.runs.metric_logs import LOGS, restore_logs
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import SavedProgress
 
@@ -41,43 +37,6 @@ SB3_HER = (
     "~buffer.relabel_terminated",
     "~buffer.goal_velocity",
 )
-
-
-def sampled(buffer):
-    np.random.seed(0)
-    buffer.rng = np.random.default_rng(0)
-    return buffer.sample(50).rewards
-
-
-@pytest.mark.parametrize("size", ["buffer.buffer_size=60", "buffer.buffer_size=100000"])
-@pytest.mark.parametrize("overrides", [(), ("buffer=replay",), SB3_HER])
-def test_buffer_and_counters_come_back(tmp_path, overrides, size, monkeypatch):
-    """A buffer of ours or of Stable-Baselines3, full or not; nothing is unpickled."""
-    model, fresh = trained(size, *overrides, steps=105), trained(size, *overrides, steps=0)
-    folder = save(tmp_path, model, step=105)
-    assert (
-        folder / checkpoints.BUFFER
-    ).stat().st_size < 105 * 500  # only the filled part of the buffer
-    for name in ("pickle.load", "pickle.loads", "cloudpickle.load", "cloudpickle.loads"):
-        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("unpickled"))
-    restore(folder, fresh, best=tmp_path / "best.zip")
-    for name in ("num_timesteps", "_n_updates", "_episode_num"):
-        assert getattr(fresh, name) == getattr(model, name) > 0
-    assert list(fresh.ep_success_buffer) == list(model.ep_success_buffer)
-    for name, array in model._last_obs.items():
-        assert fresh._last_obs[name].tobytes() == array.tobytes()
-    ours, theirs = model.replay_buffer, fresh.replay_buffer
-    assert ours.full == (size == "buffer.buffer_size=60")
-    assert torch.equal(sampled(ours), sampled(theirs))
-    if isinstance(ours, HerBuffer):
-        assert (theirs.episodes.current >= 0).all()  # episodes under way
-        for name, array in ours.get_state().items():
-            assert theirs.get_state()[name].tobytes() == array.tobytes(), name
-    else:
-        assert (theirs.pos, theirs.full) == (ours.pos, ours.full)
-    if overrides == SB3_HER:
-        assert (theirs._current_ep_start != theirs.pos).all()
-        assert (theirs.ep_length == ours.ep_length).all()
 
 
 @pytest.mark.filterwarnings("ignore:The last trajectory")
@@ -143,23 +102,3 @@ def test_a_full_disk_at_any_file_leaves_only_the_earlier_checkpoint(
         save(tmp_path, model, 20)
     assert list(tmp_path.iterdir()) == [older]
     assert checkpoints.latest(tmp_path) == older
-
-
-def test_the_best_model_and_the_logs_go_back_to_the_checkpoint(tmp_path, model):
-    best = tmp_path / "best.zip"
-    best.write_bytes(b"best so far")
-    for name in ("metrics.jsonl", "episodes.csv"):
-        (tmp_path / name).write_text(f"{name}: kept\n")
-    folder = save(tmp_path / "checkpoints", model, 10, best=best)
-    best.write_bytes(b"a later one")
-    for name in LOGS:
-        with (tmp_path / name).open("a") as file:
-            file.write("half a l")
-    restore(folder, model, best=best)
-    restore_logs(tmp_path, folder)
-    assert best.read_bytes() == b"best so far"
-    for name in ("metrics.jsonl", "episodes.csv"):
-        assert (tmp_path / name).read_text() == f"{name}: kept\n"
-    assert not (tmp_path / "monitor.csv").exists()  # it did not exist yet at the checkpoint
-    restore_logs(tmp_path, None)
-    assert not any((tmp_path / name).exists() for name in LOGS)

@@ -122,7 +122,10 @@ def uninterrupted(tmp_path_factory):
     return run(tmp_path_factory.mktemp("uninterrupted"))
 
 
-@pytest.mark.parametrize("kind", slow_but(["td3, EMA, random goals, a full buffer"], KINDS))
+FAST = ("td3, EMA, random goals, a full buffer", "ddpg with Stable-Baselines3's HER")
+
+
+@pytest.mark.parametrize("kind", slow_but(FAST, KINDS))
 def test_a_run_that_was_interrupted_twice_equals_one_that_was_not(tmp_path, kind):
     """Between checkpoints, in the middle of episodes; before the first update and later."""
     whole = run(tmp_path / "whole", *KINDS[kind])
@@ -167,7 +170,7 @@ def cut_in_the_third_evaluation():
 @pytest.mark.parametrize(
     "cuts",
     [
-        [cut_in_the_third_evaluation],
+        [lambda: cut_at(31), cut_in_the_third_evaluation],
         [
             lambda: cut(
                 checkpoints,
@@ -177,19 +180,24 @@ def cut_in_the_third_evaluation():
         ],
         [lambda: cut(TrainingSession, "save_final", lambda *_: True)] * 2,
     ],
-    ids=["in an evaluation", "in a checkpoint", "between its end and its result, twice"],
+    ids=[
+        "before any checkpoint and in an evaluation",
+        "in a checkpoint",
+        "between its end and its result, twice",
+    ],
 )
 def test_a_run_that_was_interrupted_elsewhere(uninterrupted, tmp_path, cuts):
     assert differences(uninterrupted, run(tmp_path, cuts=[make() for make in cuts])) == []
 
 
-def test_a_run_whose_logs_and_newest_checkpoint_were_damaged(uninterrupted, tmp_path):
+def test_a_run_whose_logs_best_model_and_newest_checkpoint_were_damaged(uninterrupted, tmp_path):
     config = configured(tmp_path)
     with cut_at(151), pytest.raises(FailedRunError):
         train(config)
     directory = only_run(tmp_path)
     newest = sorted(directory.checkpoints.glob("step=*"))[-1]
     (newest / "state.pt").write_bytes(b"")
+    (directory.models / "best.zip").write_bytes(b"")
     (directory.path / "metrics.jsonl").unlink()
     (directory.path / "episodes.csv").write_bytes(
         (directory.path / "episodes.csv").read_bytes()[:40]
@@ -249,34 +257,3 @@ def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alon
 
 def comparable(tree):
     return leaves(checkpoints.to_tensors(tree), "")
-
-
-@pytest.mark.parametrize(
-    "kind", slow_but(["sac, three updates in ten steps, in one highway_env, replay"], KINDS)
-)
-def test_rollout_state_is_restored_as_it_was_saved(kind, tmp_path):
-    """In a model that was trained otherwise since; the next random numbers are the same."""
-
-    def draws(model):
-        return (
-            np.random.normal(),
-            random.random(),
-            torch.rand(1).item(),
-            model.action_space.sample().tolist(),
-        )
-
-    model, other = built(*KINDS[kind]), built(*KINDS[kind])
-    model.learn(50)
-    model.logger.record("train/loss", 0.5, exclude="tensorboard")
-    model.logger.record_mean("train/mean", 0.25)
-    saved = rollout_state.get_state(model)
-    torch.save(checkpoints.to_tensors(saved), tmp_path / "state.pt")
-    expected = draws(model)
-    other.learn(30)
-    disturb()
-    loaded = checkpoints.load_state(tmp_path)
-    before = comparable(loaded)
-    rollout_state.set_state(other, loaded)
-    assert comparable(rollout_state.get_state(other)) == before
-    assert list(other.logger.name_to_excluded["train/loss"]) == ["tensorboard"]
-    assert draws(other) == expected
