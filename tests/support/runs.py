@@ -218,7 +218,6 @@ def assert_store_is_whole(output_dir, total_timesteps):
         assert steps == sorted(set(steps)), key
         assert history(client, directory.run_id, key) == points, key
     assert history(client, directory.run_id, "final/success_rate")[-1][0] == total_timesteps
-    return local
 
 
 def names_in(folder):
