@@ -8,7 +8,6 @@ import pytest
 from support.runs import call_script, only_run, refusal
 from support.user_policies import constant
 from support.user_tasks import Steps, write_option
-from support.vec_env_equality import step_alike
 
 from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
@@ -16,7 +15,7 @@ from parking_exp.evaluation.evaluate_policy import evaluate_policy
 from parking_exp.results import load
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
-from parking_exp.tasks.training_envs import get_state, make_training_envs, set_state
+from parking_exp.tasks.training_envs import make_training_envs
 
 SHORT = (
     "total_timesteps=200",
@@ -65,19 +64,6 @@ def test_training_envs_start_again_and_keep_what_they_have_shown():
     assert infos[2]["terminal_observation"]["observation"].tolist() == [3.0]
     assert infos[2]["TimeLimit.truncated"] is False
     assert observation["observation"][:2].tolist() == [[1.0], [2.0]]
-
-
-def test_the_state_of_training_envs_is_saved_and_continued_identically():
-    envs = make_training_envs(Steps(), 8)
-    other = make_training_envs(Steps(), 8)
-    envs.seed(3)
-    envs.reset()
-    actions = np.random.default_rng(0).choice([-1.0, 1.0], (60, 8, 1)).astype(np.float32)
-    for action in actions[:20]:
-        envs.step(action)
-    set_state(other, get_state(envs))
-    n_ended = sum(dones.sum() for _, dones, _ in step_alike(envs, other, actions[20:]))
-    assert n_ended > 40
 
 
 @pytest.mark.parametrize(

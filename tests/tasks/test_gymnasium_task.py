@@ -15,6 +15,7 @@ from support.models import model_of
 from support.runs import call_script, config_refusal, only_run, options, run_script
 from support.sweep_processes import begin, wait_until
 from support.user_policies import FunctionPolicy, constant
+from support.user_tasks import write_option
 from support.vec_env_equality import step_alike
 
 from parking_exp.config.compose import compose, compose_configs
@@ -182,12 +183,17 @@ SYNC, ASYNC = (
     for name in ("sync", "async")
 )
 HIGHWAY = ("env=parking_sparse", "env.simulator=highway_env", "env.training_duration=2")
+SIMULATED = ("env=parking_crowded", "env.training_duration=4")
+VECTORIZED_TASK = ("env=steps",)
+RESTORED = [SYNC, HIGHWAY, SIMULATED, VECTORIZED_TASK]
 
 
-@pytest.mark.parametrize("overrides", slow_but([SYNC, HIGHWAY], [SYNC, ASYNC, HIGHWAY]))
-def test_training_envs_continue_identically_after_restoring(overrides):
+@pytest.mark.parametrize("overrides", slow_but(RESTORED, [*RESTORED, ASYNC]))
+def test_training_envs_continue_identically_after_restoring(overrides, tmp_path):
     """In the middle of an episode; the next episodes are the same, too."""
-    task = make_task(compose(*overrides, "n_envs=2", "algorithm.learning_starts=1000").env)
+    config_dir = write_option(tmp_path, "support.user_tasks.Steps")
+    overrides = (*overrides, "n_envs=2", "algorithm.learning_starts=1000")
+    task = make_task(compose(*overrides, config_dir=config_dir).env)
     first, second = make_training_envs(task, 2), make_training_envs(task, 2)
     first.seed(0)
     first.reset()

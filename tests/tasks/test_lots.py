@@ -19,7 +19,6 @@ from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_report import cell_data, figure_data
 from parking_exp.tasks.parking.reward import reward_of
 from parking_exp.tasks.parking.scenes import NO_SLOT
-from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end")
@@ -348,15 +347,6 @@ def test_a_moving_car_does_not_stand_where_its_virtual_goal_moves_as_fast():
         assert added == pytest.approx(cost, abs=1e-12)
 
 
-def test_the_first_step_of_a_standing_car_costs_as_much_in_highway_envs_lot():
-    rewards = []
-    for standing_reward in (0.0, -0.3):
-        env = make_parking_env(env_config("parking_parallel", f"standing_reward={standing_reward}"))
-        env.reset(seed=0)
-        rewards.append(env.step(np.zeros(2))[1])
-    assert rewards[1] - rewards[0] == pytest.approx(-0.3, abs=1e-12)
-
-
 def test_standing_reward_is_refused_on_highway_envs_own_lot():
     with pytest.raises(ConfigError, match=r"such as env=parking_parallel$"):
         env_config("parking", "standing_reward=-0.3")
@@ -372,18 +362,6 @@ def test_training_tells_her_the_size_of_the_slot():
     _, _, _, infos = envs.step(np.zeros((3, 2), np.float32))
     told = [[info["slot_length_m"], info["slot_width_m"]] for info in infos]
     np.testing.assert_array_equal(told, sizes)
-
-
-def test_a_car_in_its_slot_has_succeeded_in_the_simulator():
-    config = env_config("parking_angled", "level=normal")
-    scenes = lot_of(config).from_seeds(range(20))
-    simulator = Simulator(config, scenes)
-    simulator.state.position[:] = scenes.goal_pose[:, :2].T
-    simulator.state.heading[:] = scenes.goal_pose[:, 2]
-    step = simulator.step(np.zeros((20, 2), np.float32))
-    assert step.is_success.all()
-    assert step.terminated.all()
-    assert simulator.ending(0).parked
 
 
 @pytest.mark.parametrize("env_id", parking_exp.envs.LOTS)

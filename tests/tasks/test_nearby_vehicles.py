@@ -2,7 +2,6 @@
 features.
 """
 
-import itertools
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -12,7 +11,6 @@ import pandas as pd
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from highway_env.vehicle.kinematics import Vehicle
 
 from parking_exp.config.compose import compose
 from parking_exp.tasks.parking.features import (
@@ -25,7 +23,6 @@ from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
 from parking_exp.tasks.parking.parking_report import cell_data
-from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT
 
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
@@ -95,41 +92,11 @@ def test_a_scenes_number_of_vehicles_follows_the_documented_rule():
     np.testing.assert_array_equal(scenes.goal, fixed.goal)
 
 
-def test_no_vehicle_stands_in_the_goal_or_on_the_start_by_highway_envs_own_check():
-    env = gym.make("parking-v0", config={"vehicles_count": 26}).unwrapped
-    for seed in range(30):
-        env.reset(seed=seed)
-        (car,) = env.controlled_vehicles
-        parked = Vehicle(env.road, car.goal.position, car.goal.heading)
-        others = [vehicle for vehicle in env.road.vehicles if vehicle is not car]
-        assert len(others) == 26
-        for place, other in itertools.product((car, parked), others):
-            place.handle_collisions(other)
-        assert not (car.crashed or parked.crashed)
-
-
 def test_random_scenes_have_all_numbers_equally_often():
     lot = HighwayLot((0, 20), n_obstacles=0)
     scenes = lot.random(np.random.default_rng(0), 21_000)
     counts = np.bincount((scenes.vehicles != NO_SLOT).sum(axis=1), minlength=21)
     assert (np.abs(counts - 1000) < 5 * np.sqrt(1000)).all()
-
-
-def test_training_envs_show_the_vehicles_of_the_next_scene_after_an_end():
-    envs = ParkingTask(env_config("[0,20]", 3, "env.training_duration=1")).training_envs(4)
-    envs.seed(3)
-    envs.reset()
-    for _ in range(5):
-        observations, _, dones, infos = envs.step(np.zeros((4, 2), np.float32))
-    assert dones.all()
-    assert (
-        envs.observation_space["observation"].shape == (21,) == observations["observation"][0].shape
-    )
-    for row, info in enumerate(infos):
-        assert info["terminal_observation"]["observation"].shape == (21,)
-        np.testing.assert_array_equal(
-            observations["observation"][row], envs.batch.observe()["observation"][row]
-        )
 
 
 def scene():

@@ -78,23 +78,6 @@ def test_the_wrapper_shows_vehicles_walls_and_obstacles_of_a_users_own_env():
     )
 
 
-def test_training_envs_show_the_car_then_vehicles_then_rays():
-    config = compose(
-        "env.vehicles_count=10",
-        "env.observation.vehicles_count=2",
-        "env.observation.rays=8",
-        "env.observation.rays_range_m=30",
-    ).env
-    envs = ParkingTask(config).training_envs(4)
-    envs.seed(3)
-    observation = envs.reset()["observation"]
-    assert envs.observation_space["observation"].shape == (24,) == observation[0].shape
-    assert (observation[:, [6, 11]] == 1).all()  # presence
-    rays = observation[:, 16:]
-    assert ((rays > 0) & (rays <= 1)).all()
-    assert (rays < 20.5 / 30).any(axis=1).all()  # the walls are nearer than 30 m
-
-
 def test_without_rays_a_config_is_stored_as_it_was_before_there_were_any():
     observation = compose("env.observation.rays=0").plain()["env"]["observation"]
     assert {*observation} == {"type", "features", "scales", "normalize", "vehicles_count"}
