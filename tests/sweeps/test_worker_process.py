@@ -25,8 +25,8 @@ from support.sweep_processes import (
     workers,
 )
 
+from parking_exp.resources import available_cores, divide_cores
 from parking_exp.results.frames import load
-from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps import local
 
 TWO = ("seeds=2", "hydra.launcher.n_jobs=2")
@@ -65,38 +65,32 @@ def test_runs_of_workers_equal_a_run_of_train_py(tmp_path, monkeypatch, start_me
     (of_worker,) = together.glob("smoke/*/seed=1")
     assert differences(trained, of_worker) == []
 
-    status = RunDirectory(trained).read_status()
-    worker_status = RunDirectory(of_worker).read_status()
-    assert status["pid"] == os.getpid()
-    assert worker_status["pid"] != os.getpid()
-    assert worker_status.keys() - status.keys() == {"cell_number"}
-    for name in (
-        "label",
-        "status",
-        "total_timesteps",
-        "steps",
-        "success_rate",
-        "evaluation",
-        "host",
-    ):
-        assert worker_status[name] == status[name]
-
 
 @FORKED
-def test_workers_of_a_process_share_a_server_but_have_the_environment_of_their_sweep(
+def test_workers_share_a_server_but_have_cores_devices_and_the_environment_of_their_sweep(
     tmp_path, monkeypatch
 ):
+    """And they import no MLflow."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,5")
+    options = (*QUICK, TELLS, *TWO, "tracking.mlflow=true", "torch_threads=null")
     parents = set()
     for name in ("first", "second"):
         folder = tmp_path / name
         folder.mkdir()
         monkeypatch.setenv("TELLS", str(folder))
-        call_script("train", *QUICK, TELLS, *TWO, f"output_dir={folder / 'outputs'}", code=0)
+        call_script("train", *options, f"output_dir={folder / 'outputs'}", code=0)
+        runs = load("smoke", output_dir=folder / "outputs").runs
+        assert runs["status"].tolist() == ["done", "done"]
+
         told = [json.loads(path.read_text()) for path in folder.glob("*.json")]
-        assert len(told) == 2
-        assert {facts["session"] for facts in told} == {
-            int(path.stem) for path in folder.glob("*.json")
-        }
+        told.sort(key=lambda facts: facts["cores"])
+        assert [facts["cores"] for facts in told] == divide_cores(available_cores(), 2)
+        assert [facts["devices"] for facts in told] == ["4", "5"]
+        for facts in told:
+            threads = {*facts["threads"].values(), str(facts["torch"])}
+            assert threads == {str(len(facts["cores"]))}
+            assert (folder / f"{facts['session']}.json").exists()
+            assert facts["store_modules"] == []
         parents |= {facts["parent"] for facts in told}
     (server,) = parents
     assert psutil.Process(server).ppid() == psutil.Process().pid
@@ -164,23 +158,6 @@ def test_runs_whose_server_is_killed_end_and_the_next_sweep_resumes_them(tmp_pat
     }
     sweep(tmp_path, *TWO, *SLOW)
     assert stages(tmp_path) == ["done"] * 2
-
-
-def test_workers_import_no_mlflow(tmp_path, monkeypatch):
-    monkeypatch.setenv("TELLS", str(tmp_path))
-    call_script(
-        "train",
-        *QUICK,
-        TELLS,
-        *TWO,
-        "tracking.mlflow=true",
-        f"output_dir={tmp_path / 'outputs'}",
-        code=0,
-    )
-    told = [json.loads(path.read_text()) for path in tmp_path.glob("*.json")]
-    assert [facts["store_modules"] for facts in told] == [[], []]
-    runs = load("smoke", output_dir=tmp_path / "outputs").runs
-    assert runs["status"].tolist() == ["done", "done"]
 
 
 def test_a_sweep_sends_checkpoints_while_its_runs_train_and_provenance_needs_no_store(tmp_path):
