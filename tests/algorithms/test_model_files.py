@@ -2,10 +2,10 @@
 
 import io
 import os
-import zipfile
 
 import pytest
 import torch
+from support.model_zips import rewritten
 from support.models import make_model
 from support.run_equality import leaves
 
@@ -30,17 +30,6 @@ def content(model, tmp_path_factory):
     path = tmp_path_factory.mktemp("model") / "final.zip"
     save_model(model, path)
     return path.read_bytes()
-
-
-def rewritten(content, **members):
-    """A file whose checksums are right, with other members; None leaves one out."""
-    file = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(file, "w") as new:
-        for name in old.namelist():
-            member = members.get(name.replace(".", "_"), old.read(name))
-            if member is not None:
-                new.writestr(name, member)
-    return file.getvalue()
 
 
 def tensors(value):

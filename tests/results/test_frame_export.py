@@ -3,7 +3,6 @@
 import errno
 import gzip
 import json
-import math
 import re
 from dataclasses import replace
 
@@ -12,7 +11,6 @@ import pytest
 from support.runs import copy_of, names_in, read_text, smoke_config
 from support.store_factory import Look, make_store
 
-from parking_exp.config.settings import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
 from parking_exp.results.frame_export import FILES, LOCAL_COLUMNS, without_paths
@@ -140,7 +138,7 @@ def test_curves_and_outcomes_come_back_rounded_to_six_digits(stored, written):
     assert results.episodes[["parked", "steps", "return"]].isna().all(axis=None)
 
 
-def test_problems_and_runs_of_others_are_kept_and_the_folder_is_the_source(stored, tmp_path):
+def test_problems_are_kept_and_the_folder_is_the_source(stored, tmp_path):
     reported = replace(stored, problems=("a: /tmp/x/y.csv is missing", "b"))
     results = read_export(write_export(reported, tmp_path / "one"))
     assert results.problems == ("a: y.csv is missing", "b")
@@ -256,28 +254,3 @@ def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports
         assert set(results.runs["config.contrasts"]) == {str(contrasts)}
         assert set(results.runs["config.x.number"]) == {0.1}
     assert set(stored.runs["config.x.word"]) == set(LABELS)
-
-
-@pytest.mark.parametrize(
-    "value",
-    [
-        None,
-        True,
-        3,
-        -0.5,
-        1e-300,
-        math.inf,
-        "",
-        "word",
-        "3",
-        "[1, 2]",
-        '"',
-        '"3"',
-        "None",
-        "é",
-        "2024_11",
-    ],
-)
-def test_settings_come_back_from_text(value):
-    assert decode_setting(encode_setting(value)) == value
-    assert type(decode_setting(encode_setting(value))) is type(value)
