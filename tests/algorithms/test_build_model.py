@@ -40,7 +40,7 @@ def test_every_buffer_binds_to_its_constructor(buffer, simulator):
 
 
 def test_every_argument_arrives():
-    """Also one that is an object, written as a `_target_` node."""
+    """Also classes, written as dotted paths, and objects, written as `_target_` nodes."""
     schedule = (
         "{_target_: stable_baselines3.common.utils.LinearSchedule, "
         "start: 1e-2, end: 1e-3, end_fraction: 1.0}"
@@ -58,6 +58,8 @@ def test_every_argument_arrives():
         "+algorithm.policy_kwargs.n_critics=3",
         "buffer.buffer_size=640",
         "+algorithm.policy_kwargs.activation_fn={_target_:torch.nn.LeakyReLU,negative_slope:0.3}",
+        "+algorithm.policy_kwargs.optimizer_class=torch.optim.AdamW",
+        "+algorithm.policy_kwargs.optimizer_kwargs.weight_decay=0.5",
         f"+algorithm.policy_kwargs.features_extractor_class={EXTRACTOR}",
         "+algorithm.policy_kwargs.features_extractor_kwargs.cnn_output_dim=32",
         f"algorithm.learning_rate={schedule}",
@@ -77,27 +79,11 @@ def test_every_argument_arrives():
     assert model.policy_kwargs["net_arch"] == [7, 5]
     assert type(model.actor.features_extractor) is CombinedExtractor
     assert model.policy_kwargs["features_extractor_kwargs"] == {"cnn_output_dim": 32}
-    assert len(model.critic.q_networks) == 3
-    assert list(model.action_noise.base_noise._sigma) == [0.2, 0.3]
-
-
-@pytest.mark.parametrize("algorithm", slow_but(["td3", "crossq"], options("algorithm")))
-@pytest.mark.parametrize("value", ["{name}", "{{_target_:{name}}}"])
-def test_classes_among_the_policys_arguments_are_dotted_paths_or_targets(algorithm, value):
-    classes = {"activation_fn": "torch.nn.Tanh", "optimizer_class": "torch.optim.AdamW"}
-    arguments = ",".join(f"{key}:{value.format(name=name)}" for key, name in classes.items())
-    model = built(
-        f"algorithm={algorithm}",
-        f"+algorithm.policy_kwargs={{{arguments},optimizer_kwargs:{{weight_decay:0.5}}}}",
-    )
-    model.learn(60)
-    assert model._n_updates > 0
-    kinds = {type(module) for module in model.actor.modules()}
-    assert torch.nn.Tanh in kinds
-    assert torch.nn.ReLU not in kinds
     for network in (model.actor, model.critic):
         assert type(network.optimizer) is torch.optim.AdamW
         assert network.optimizer.param_groups[0]["weight_decay"] == 0.5
+    assert len(model.critic.q_networks) == 3
+    assert list(model.action_noise.base_noise._sigma) == [0.2, 0.3]
 
 
 def test_what_the_library_refuses_is_a_config_error():

@@ -1,11 +1,15 @@
-"""Features of mirrored and of turned scenes, with goals of any heading, vehicles and rays."""
+"""Features and policies of mirrored and of turned scenes, with goals of any heading, vehicles and
+rays.
+"""
 
 import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from support.models import make_model
 
 from parking_exp.config.compose import compose
+from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking.features import (
     EgoFrameExtractor,
     FineEgoFrameExtractor,
@@ -29,6 +33,9 @@ MIRRORS = {
     "y to -y": ([1, -1, -1], [0, 0, 0]),
 }
 TURN = ([-1, -1, 1], [0, 0, np.pi])
+STEERING = torch.tensor([1.0, -1.0])
+ONE = ("n_envs=1",)
+SEES = (f"env.observation.vehicles_count={SEEN}", f"env.observation.rays={RAYS}")
 
 
 def poses():
@@ -59,6 +66,16 @@ def extractor(kind, **lot):
     space = spaces.Dict({"observation": spaces.Box(-np.inf, np.inf, (SIZE,))})
     weights = [] if kind is EgoFrameExtractor else [WEIGHTS]
     return kind(space, *weights, rays=RAYS, **lot)
+
+
+def seen_by_policies():
+    """Return the random scenes and their mirror images."""
+    mirrored = scenes(MIRRORS["x to -x"])
+    return single_precision(scenes()), single_precision(mirrored)
+
+
+def single_precision(observations):
+    return {name: entry.float() for name, entry in observations.items()}
 
 
 def assert_same(first, second):
@@ -166,3 +183,49 @@ def test_features_know_the_size_and_the_symmetries_of_the_lot(overrides, turned,
     fine = {**ego, "reward_weights": config.reward_weights, "turned": turned}
     assert task.features("ego_fine")[1] == fine
     assert task.features("ego_mirrored")[1] == {**fine, "handed": handed}
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg"])
+def test_the_mirror_image_of_a_scene_gets_the_mirror_image_of_the_action(algorithm):
+    model = make_model(f"algorithm={algorithm}", *ONE, *SEES)
+    scene, mirrored = seen_by_policies()
+    with torch.no_grad():
+        action = model.policy(scene, deterministic=True)
+        assert action.std(0).min() > 0.01
+        mirrored_action = model.policy(mirrored, deterministic=True)
+        torch.testing.assert_close(mirrored_action, action * STEERING)
+        given = torch.rand(len(action), 2) * 2 - 1
+        values = model.critic(scene, given)
+        torch.testing.assert_close(model.critic(mirrored, given * STEERING), values)
+        assert torch.equal(model.critic.q1_forward(scene, given), values[0])
+        assert not torch.allclose(model.critic.q1_forward(scene, given * STEERING), values[0])
+
+
+def test_sampled_actions_are_mirrored_and_their_probabilities_are_not():
+    model = make_model("algorithm=sac", *ONE, *SEES)
+    sampled = []
+    for entries in seen_by_policies():
+        torch.manual_seed(0)
+        with torch.no_grad():
+            sampled.append(model.actor.action_log_prob(entries))
+    (action, log_prob), (other, same) = sampled
+    torch.testing.assert_close(other, action * STEERING)
+    torch.testing.assert_close(same, log_prob)
+
+
+def test_the_scene_is_mirrored_where_the_goal_is_to_the_right_of_the_car():
+    extractor = make_model("algorithm=td3", *ONE).actor.features_extractor
+    goal = [[0.1, 0.14, 0, 0, 0, 1], [0.1, -0.14, 0, 0, 0, -1], [0.1, 0.14, 0, 0, 0, 1]]
+    # Two look along +x, one along +y.
+    car = [[0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]]
+    scene = {"observation": torch.tensor(car).float(), "desired_goal": torch.tensor(goal)}
+    assert extractor.sign(scene).tolist() == [[1], [-1], [-1]]
+    assert extractor(scene)[:, 1].tolist() == pytest.approx([1.4, 1.4, 1.0])  # to the left
+    mirrored = extractor.mirror(torch.full((3, 2), 0.5), scene)
+    assert mirrored.tolist() == [[0.5, 0.5], [0.5, -0.5], [0.5, -0.5]]
+
+
+def test_a_policy_that_mirrors_no_steering_is_refused():
+    message = "^algorithm.features=ego_mirrored: .*ego_fine$"
+    with pytest.raises(ConfigError, match=message):
+        make_model("algorithm=tqc", "algorithm.features=ego_mirrored", *ONE)
