@@ -249,15 +249,11 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
     run = row(results.runs, smoke)
     config = smoke.config()
     expected = {
-        "name": f"{config.cell_name}-seed=0",
+        "experiment": "smoke",
         "cell": config.cell_name,
         "seed": 0,
         "run_key": config.run_key,
         "status": "done",
-        "total_timesteps": 400,
-        "n_scenes": 5,
-        "first_scene": 0,
-        "eval_n_scenes": 3,
         "steps": 400,
         "run_dir": str(smoke.path),
         "config.total_timesteps": 400,
