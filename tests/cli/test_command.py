@@ -109,14 +109,6 @@ def test_flags_may_be_anywhere_between_the_overrides(words, expected):
     assert (given.config_dir, given.multirun, overrides) == expected
 
 
-def test_a_closed_pipe_ends_the_output_without_a_traceback():
-    command, keywords = script("train", "--help")
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
-    process.stdout.close()
-    assert process.stderr.read() == ""
-    assert process.wait(60) == 1
-
-
 @pytest.mark.parametrize("name", ["status", "export"])
 def test_commands_without_seeds_say_so(name):
     sentence = "seeds: there is no such key; leave it out, this command takes no seeds"
@@ -160,41 +152,13 @@ def test_config_dir_adds_options_and_cfg_shows_the_config_and_runs_nothing(tmp_p
 
 
 @pytest.mark.slow
-def test_a_built_wheel_works_from_any_directory(installed_wheel, tmp_path):
-    """The wheel carries conf/ inside the package; what it prints shows that it is the wheel's."""
-    site = installed_wheel
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    code = (
-        f"import sys; sys.path.insert(0, {str(site)!r})\n"
-        "from parking_exp.cli.train import main\n"
-        "from parking_exp.config.overrides import config_dir\n"
-        "print(config_dir()); main()\n"
-    )
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            code,
-            "experiment=smoke",
-            "total_timesteps=60",
-            "evaluation.video_episodes=0",
-            "hydra/launcher=local",
-        ],
-        check=False,
-        capture_output=True,
-        text=True,
-        cwd=elsewhere,
-        timeout=180,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
-    assert (elsewhere / "outputs" / "mlflow.db").exists()
-    for name in ("crowded", "default", "parallel", "parked"):
-        files = {path.name for path in (site / "parking_exp" / "pretrained" / name).iterdir()}
-        assert files == {"README.md", "config.yaml", "policy.safetensors"}
+def test_a_wheel_has_the_commands_and_the_pretrained_agents(installed_wheel):
+    """That its commands work is shown by those of the page about extensions."""
     commands = ("evaluate", "export", "report", "status", "train", "tune")
-    assert names_in(site / "bin") == [f"parking-{name}" for name in commands]
+    assert names_in(installed_wheel / "bin") == [f"parking-{name}" for name in commands]
+    for name in ("crowded", "default", "parallel", "parked"):
+        folder = installed_wheel / "parking_exp" / "pretrained" / name
+        assert names_in(folder) == ["README.md", "config.yaml", "policy.safetensors"]
 
 
 def test_an_editable_install_has_the_console_scripts(tmp_path):

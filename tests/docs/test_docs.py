@@ -222,6 +222,7 @@ SHORT = [
     "evaluation.n_scenes=5",
     "evaluation.final_n_scenes=5",
     "experiment_name=other",
+    "hydra/launcher=local",  # which Hydra has to find in the wheel
 ]
 TRAIN = """
 import sys
