@@ -312,29 +312,6 @@ def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs, monkeypa
     assert ours.real_share == 1.0
 
 
-@pytest.mark.parametrize("strategy", ["future", "random", None])
-@pytest.mark.parametrize(("n_envs", "steps"), [(1, 39), (1, 335), (8, 90)])
-def test_saved_in_the_middle_of_episodes_it_continues_identically(
-    tmp_path, strategy, n_envs, steps
-):
-    ours, other = (make(n_envs=n_envs, goal_selection_strategy=strategy) for _ in range(2))
-    transitions = Transitions(n_envs)
-    fill(transitions, steps, ours)
-    assert (ours.episodes.current >= 0).any()
-    ours.sample(32)
-    state = ours.get_state()
-    np.savez(tmp_path / "buffer.npz", allow_pickle=False, **state)
-    stored = ours.size() * n_envs
-    assert sum(array.nbytes for array in state.values()) < 160 * stored + 4000
-    with np.load(tmp_path / "buffer.npz", allow_pickle=False) as saved:
-        other.set_state(saved)
-    for _ in range(150):
-        fill(transitions, 1, ours, other)
-        assert_equal(ours.sample(32), other.sample(32))
-    assert ours.real_share == other.real_share
-    assert drawable(ours) == drawable(other)
-
-
 def test_the_number_of_real_transitions_is_rounded_as_in_stable_baselines3():
     """Of a batch of 256, int(n / (n + 1) * 256) are virtual."""
     for n_sampled_goal, real in ((1, 128), (2, 86), (4, 52), (8, 29)):

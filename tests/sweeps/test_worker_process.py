@@ -70,7 +70,7 @@ def test_runs_of_workers_equal_a_run_of_train_py(tmp_path, monkeypatch, start_me
 def test_workers_share_a_server_but_have_cores_devices_and_the_environment_of_their_sweep(
     tmp_path, monkeypatch
 ):
-    """And they import no MLflow."""
+    """Two sweeps one after the other, whose workers import no MLflow."""
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,5")
     options = (*QUICK, TELLS, *TWO, "tracking.mlflow=true", "torch_threads=null")
     parents = set()
@@ -83,7 +83,7 @@ def test_workers_share_a_server_but_have_cores_devices_and_the_environment_of_th
         assert runs["status"].tolist() == ["done", "done"]
 
         told = [json.loads(path.read_text()) for path in folder.glob("*.json")]
-        told.sort(key=lambda facts: facts["cores"])
+        told.sort(key=lambda facts: (facts["cores"], facts["devices"]))
         assert [facts["cores"] for facts in told] == divide_cores(available_cores(), 2)
         assert [facts["devices"] for facts in told] == ["4", "5"]
         for facts in told:

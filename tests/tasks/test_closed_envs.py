@@ -29,7 +29,6 @@ COMMANDS = {
     # The env of the model.
     "an export": (("export", PRETRAINED, "format=safetensors"), 1),
 }
-BIT_FLIP = ("env=gymnasium", "env.id=support.toy_tasks:BitFlip-v0", *TINY)
 
 
 @dataclass
@@ -72,10 +71,3 @@ def test_a_command_closes_the_envs_that_it_makes(kind, envs, tmp_path):
     command, number = COMMANDS[kind]
     call_script(*command, f"output_dir={tmp_path}", code=0)
     assert envs.count() == (number, number)
-
-
-def test_a_training_closes_environments_of_gymnasium(envs, tmp_path):
-    call_script("train", *BIT_FLIP, f"output_dir={tmp_path}", code=0)
-    n_made, n_closed = envs.count()
-    assert n_made > 0
-    assert n_closed == n_made

@@ -226,13 +226,10 @@ def test_a_refusal_is_one_line_even_where_packages_print_notices():
     assert (done.stdout, done.stderr.count("\n")) == ("", 1)
 
 
-def test_an_env_that_renders_gives_a_video_and_others_a_reason():
-    act = constant(*[0.0] * 8)
-    frames = list(make_task(config(f"{TOY}Drawn-v0").env).frames(act, [0, 1]))
-    assert {frame.shape for frame in frames} == {(40, 80, 3)}
-    assert len(frames) == 2 * (1 + 8 + 4)  # the start, each step, and one second of the end
+def test_an_env_that_does_not_render_is_a_reason_to_have_no_video():
+    task = make_task(config(f"{TOY}BitFlip-v0").env)
     with pytest.raises(VideoError, match="BitFlip-v0 does not render"):
-        next(make_task(config(f"{TOY}BitFlip-v0").env).frames(act, [0]))
+        next(task.frames(constant(*[0.0] * 8), [0]))
 
 
 def test_without_egl_and_osmesa_there_is_a_reason_and_no_video(monkeypatch):
