@@ -16,6 +16,7 @@ from parking_exp.errors import ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
 from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model
 from parking_exp.evaluation.evaluate_policy import evaluate_policy, summarise
+from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.registry import make_task
 
@@ -187,3 +188,12 @@ def test_a_damaged_policy_is_refused(damage, tmp_path, monkeypatch):
     agent = find_agent("pretrained", tmp_path)
     with pytest.raises(ModelError, match=r"policy.safetensors is damaged"):
         agent.load(make_task(agent.config.env))
+
+
+@pytest.mark.slow
+def test_the_default_recipe_parks(tmp_path):
+    rates = []
+    for seed in (0, 1, 2):
+        config = compose(f"seed={seed}", f"output_dir={tmp_path}", "evaluation.video_episodes=0")
+        rates.append(train(config).metrics["final/success_rate"])
+    assert min(rates) >= 0.95, rates

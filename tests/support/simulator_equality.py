@@ -44,7 +44,7 @@ def compare(config, scenes, act):
     return sum(len(steps) for steps in records), repeat(config, scenes, starts, records)
 
 
-def differences(config, kind, n_scenes, policy=None):
+def find_mismatches(config, kind, n_scenes, policy=None):
     """Return what differs in whole episodes of the first scenes, with one kind of actions."""
     act = actions_of(kind, np.random.default_rng(1), (n_scenes, 2), policy)
     n_steps, different = compare(config, range(n_scenes), act)

@@ -67,7 +67,7 @@ def make_store(
     experiment,
     cells,
     seeds=range(2),
-    look=lambda label, seed: Look(),
+    look_of=lambda label, seed: Look(),
     *,
     uri=None,
 ):
@@ -79,7 +79,7 @@ def make_store(
         experiment: name.
         cells: overrides of `experiment=smoke` for each, or its config.
         seeds: of each cell.
-        look: of a run, from its cell's label and seed.
+        look_of: the look of a run, from its cell's label and seed.
         uri: of the store; None: `mlflow.db` in the output directory.
     """
     where = uri or default_uri(Path(output_dir).absolute())
@@ -96,10 +96,10 @@ def make_store(
             }
             config = whole.model_copy(update=update)
             runs[label, seed] = RunDirectory(config.run_dir)
-            _write(runs[label, seed], config, look(label, seed), label, where)
+            _write(runs[label, seed], config, look_of(label, seed), label, where)
     store = Store(where, Path(output_dir).absolute())
     for key, directory in runs.items():
-        _send(directory, look(*key), store)
+        _send(directory, look_of(*key), store)
     return runs
 
 

@@ -1,5 +1,5 @@
-"""Algorithms as users write them: that end their run in every way that it can end without a result,
-or lose weights.
+"""Algorithms as users write them: some end their run without a result, in every way that there is,
+some lose weights, one takes its time, and one tells what its process was given.
 """
 
 import json

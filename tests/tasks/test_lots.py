@@ -7,7 +7,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import TD3, HerReplayBuffer
 from support.runs import config_refusal
-from support.simulator_equality import KINDS, differences
+from support.simulator_equality import KINDS, find_mismatches
 
 import parking_exp.envs
 from parking_exp.algorithms.build_model import GreedyPolicy
@@ -23,27 +23,27 @@ from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end")
 LEVELS = ("easy", "normal", "hard", "extreme")
-VARIANTS = [(lot, level) for lot in (*LOTS, "parking_lots") for level in LEVELS]
+LOTS_AND_LEVELS = [(lot, level) for lot in (*LOTS, "parking_lots") for level in LEVELS]
 
 
 def env_config(lot, *overrides):
     return compose(f"env={lot}", *[f"env.{override}" for override in overrides]).env
 
 
-@pytest.mark.parametrize(("lot", "level"), VARIANTS)
+@pytest.mark.parametrize(("lot", "level"), LOTS_AND_LEVELS)
 def test_a_lot_is_simulated_as_highway_env_does(lot, level):
     config = env_config(lot, f"level={level}", "duration=20")
-    assert differences(config, "biased", 3) == []
+    assert find_mismatches(config, "biased", 3) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("lot", "level"), VARIANTS)
+@pytest.mark.parametrize(("lot", "level"), LOTS_AND_LEVELS)
 def test_a_lot_is_simulated_as_highway_env_does_in_many_scenes(lot, level, kind):
     # Of crowded parking-v0: it sees as many vehicles as on these lots.
     policy = GreedyPolicy(load_model("pretrained/crowded"))
     config = env_config(lot, f"level={level}", "duration=20")
-    assert differences(config, kind, 60, policy) == []
+    assert find_mismatches(config, kind, 60, policy) == []
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_a_lot_is_simulated_as_highway_env_does_in_many_scenes(lot, level, kind)
 )
 def test_other_lots_are_simulated_as_highway_env_does(overrides):
     config = env_config("parking_parallel", "duration=20", *overrides)
-    assert differences(config, "biased", 3) == []
+    assert find_mismatches(config, "biased", 3) == []
 
 
 def test_parallel_slots_stand_in_two_rows_along_the_street():

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from gymnasium.utils.seeding import np_random
 from support.runs import call_script, config_refusal, refusal
-from support.simulator_equality import differences
+from support.simulator_equality import find_mismatches
 
 from parking_exp import compose, train
 from parking_exp.config.settings import settings_of
@@ -55,7 +55,7 @@ def test_the_first_number_of_a_scene_chooses_its_lot_and_the_others_are_that_lot
 
 def test_scenes_are_simulated_as_highway_env_does():
     config = env_config("env.level=normal", "env.observation.rays=8", "env.duration=20")
-    assert differences(config, "biased", 16) == []
+    assert find_mismatches(config, "biased", 16) == []
     firsts = [np_random(seed)[0].random() for seed in range(16)]
     assert {int(4 * first) for first in firsts} == {0, 1, 2, 3}
 

@@ -35,7 +35,7 @@ def store_with_runs(output_dir, seeds=3):
 
 
 def stored(output_dir):
-    """Seeds of the runs that the store has, and whether each has its files."""
+    """Return the seeds of the runs that the store has."""
     runs = load("smoke", output_dir=output_dir).runs
     return runs["seed"].tolist()
 

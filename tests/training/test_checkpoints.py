@@ -11,14 +11,13 @@ from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import SavedProgress
 
 
-def trained(*overrides, steps=100):
-    model = make_model("experiment=smoke", "algorithm.learning_starts=40", *overrides)
-    return model.learn(steps) if steps else model
+def untrained(*overrides):
+    return make_model("experiment=smoke", "algorithm.learning_starts=40", *overrides)
 
 
 @pytest.fixture(scope="module")
 def model():
-    return trained(steps=0)
+    return untrained()
 
 
 def save(directory, model, step, keep_last=2, best=None):
@@ -41,8 +40,8 @@ SB3_HER = (
 
 @pytest.mark.filterwarnings("ignore:The last trajectory")
 def test_transitions_of_stable_baselines3s_buffer_end_the_episodes_under_way(tmp_path):
-    model = trained(*SB3_HER, steps=105)
-    fresh = trained(*SB3_HER, steps=0).replay_buffer
+    model = untrained(*SB3_HER).learn(105)
+    fresh = untrained(*SB3_HER).replay_buffer
     folder = save(tmp_path, model, step=105)
     checkpoints.load_transitions(folder / checkpoints.BUFFER, fresh)
 
