@@ -153,7 +153,7 @@ def test_the_class_of_a_run_from_elsewhere_is_not_imported(config_dir, output_di
         command = ("evaluate", f"run={run}", f"output_dir={copy}", "episodes=2")
         sentence = refusal(*command)
         assert sentence.startswith("env.task=planted_task.Planted in")
-        assert "trust=true allows it" in sentence
+        assert "trust=true (in Python trust=True) allows it" in sentence
         for name in ("status", "report"):
             call_script(name, "experiment=steps", f"output_dir={copy}", code=0)
         assert not trace.exists()

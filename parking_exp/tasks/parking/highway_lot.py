@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from gymnasium.utils.seeding import np_random
 
 from parking_exp.tasks.parking.geometry import (
     LOT_LENGTH_M,
@@ -23,7 +22,7 @@ from parking_exp.tasks.parking.geometry import (
     SLOT_WIDTH_M,
     SLOTS_PER_ROW,
 )
-from parking_exp.tasks.parking.scenes import MOST_SCENES, NO_SLOT, Scenes
+from parking_exp.tasks.parking.scenes import MOST_SCENES, NO_SLOT, Scenes, scene_rng
 
 # Half the length and width of the area: within the walls, outside of the slots.
 AISLE_M = np.array([33.0, 8.5])
@@ -71,7 +70,7 @@ class HighwayLot:
         slots = np.zeros((len(seeds), 1 + self.vehicles_range[1]), np.int64)
         obstacles = np.empty((len(seeds), self.n_obstacles, 2))
         for row, seed in enumerate(seeds):
-            rng, _ = np_random(int(seed))
+            rng = scene_rng(seed)
             n_cars[row] = sample_vehicles_count(rng.bit_generator, *self.vehicles_range)
             if self.n_obstacles:
                 obstacles[row] = obstacles_of_scene(rng.bit_generator, self.n_obstacles)

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from gymnasium.utils.seeding import np_random
 
 from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 from parking_exp.tasks.parking.highway_lot import HighwayLot
@@ -19,7 +18,7 @@ from parking_exp.tasks.parking.lot_config import (
     bounds,
 )
 from parking_exp.tasks.parking.parking_config import ParkingConfig
-from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, scene_rng
 
 # Every scene draws the first three of the `LotDimensions`, before all else. It draws the others
 # last, and only those that are ranges, so that lots without such ranges keep their scenes.
@@ -43,8 +42,7 @@ class SampledLot(ABC):
         """Return the scenes of `env.reset(seed=s)`."""
         draws = np.empty((len(seeds), self.n_draws))
         for row, seed in enumerate(seeds):
-            rng, _ = np_random(int(seed))
-            draws[row] = rng.random(self.n_draws)
+            draws[row] = scene_rng(seed).random(self.n_draws)
         return self.scenes(draws)
 
     def random(self, rng: np.random.Generator, n: int) -> Scenes:

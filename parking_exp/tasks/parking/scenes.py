@@ -11,6 +11,14 @@ FAR_M = 1e6  # cars farther away than this count as absent
 MOST_SCENES = 10**7  # in a batch: what is equal in all scenes is a view of this length
 
 
+def scene_rng(seed: int) -> np.random.Generator:
+    """Return the generator that `env.reset(seed=seed)` samples a scene from.
+
+    It is what gymnasium's `np_random(seed)` makes. Reports draw lots, and do not import gymnasium.
+    """
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
+
+
 @dataclass(frozen=True)
 class Scenes:
     """A batch of n scenes. A pose is x, y and heading [m, m, rad]; slots are numbered."""
