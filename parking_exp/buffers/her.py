@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -53,6 +53,9 @@ class HerBuffer(DictReplayBuffer):
         goal_velocity: the velocity of virtual goals: `achieved`, or `zero` as of real goals.
         reward: the env's reward.
 
+    Raises:
+        ValueError: there is no such strategy.
+
     Attributes:
         demonstrations: a buffer of the same class, of one env, from which `demonstration_share` of
             each batch is sampled; None without demonstrations.
@@ -83,6 +86,12 @@ class HerBuffer(DictReplayBuffer):
         # Not that of DictReplayBuffer, which allocates arrays.
         BaseBuffer.__init__(self, rows, observation_space, action_space, device, n_envs)
         assert not optimize_memory_usage, "HerBuffer does not support optimize_memory_usage"
+        strategies = get_args(GoalStrategy)
+        if goal_selection_strategy not in (None, *strategies):
+            raise ValueError(
+                f"goal_selection_strategy={goal_selection_strategy!r}: give one of "
+                f"{', '.join(strategies)}, or None"
+            )
         self.reward = reward
         self.handle_timeout_termination = handle_timeout_termination
         self.goal_selection_strategy = goal_selection_strategy
@@ -196,7 +205,7 @@ class HerBuffer(DictReplayBuffer):
             # As in Stable-Baselines3, the transition itself is included.
             passed = (row - record["start"]) % self.episodes.capacity
             position = self.rng.integers(passed, length)
-        else:
+        else:  # "episode"
             position = self.rng.integers(length)
         return self.episodes.index(record["start"] + position, env)
 

@@ -51,8 +51,8 @@ LIMITS: dict[str, Any] = {
     "batch_size": Annotated[int, Field(ge=1, le=1_000_000)],
     "tau": Share,
     "gamma": Share,
-    "train_freq": Any,  # rules compare both with `updates_per_step`
-    "gradient_steps": Any,
+    "train_freq": Count | None,  # rules compare both with `updates_per_step`
+    "gradient_steps": Count | None,
     "policy_delay": Count,
     "target_update_interval": Count,
     "target_policy_noise": NonNegativeFloat,

@@ -25,7 +25,7 @@ from omegaconf.errors import (
 
 from parking_exp.config.constructor_arguments import argument_hint
 from parking_exp.config.grid import MAX_RUNS, Block, Point, expand_points, read_blocks, seeds_of
-from parking_exp.config.hydra_settings import check_hydra_settings
+from parking_exp.config.hydra_settings import check_hydra_settings, what_instead
 from parking_exp.config.overrides import (
     axes_of,
     config_dir,
@@ -281,7 +281,7 @@ def user_options(extra_config_dir: str | Path | None) -> list[str]:
         return []
     path = Path(extra_config_dir)
     if not path.is_dir():
-        raise ConfigError(f"--config-dir={path} is not a directory")
+        raise ConfigError(f"--config-dir={path} (in Python config_dir) is not a directory")
     return [f"hydra.searchpath=[{in_quotes(str(path.absolute()))}]"]
 
 
@@ -334,6 +334,8 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     name = str(error.key)
     known = _container(error.parent_node)
     section = key.rpartition(".")[0]
+    if key.startswith("hydra.") and not key.startswith("hydra.launcher."):
+        return f"{key} has no effect; {what_instead(key)}"
     if not isinstance(known, dict):
         return f"{key}: {section} has no keys"
     path = next((path for path in settings_of(known) if f".{name}." in f"{path}."), None)

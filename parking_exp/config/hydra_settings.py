@@ -45,8 +45,13 @@ def check_hydra_settings(composed: DictConfig, ours: DictConfig, *, launches_run
     for key, value in _settings(composed).items():
         if value == default.get(key) or key.startswith(read):
             continue
-        instead = next(words for begin, words in INSTEAD.items() if key.startswith(begin))
-        raise ConfigError(f"hydra.{key}={value} has no effect; {instead}")
+        raise ConfigError(f"hydra.{key}={value} has no effect; {what_instead(f'hydra.{key}')}")
+
+
+def what_instead(key: str) -> str:
+    """Return what to type instead of one of Hydra's keys that is not read."""
+    own_key = key.removeprefix("hydra.")
+    return next(words for begin, words in INSTEAD.items() if own_key.startswith(begin))
 
 
 def _settings(node: DictConfig) -> dict[str, Any]:

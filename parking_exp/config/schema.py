@@ -235,7 +235,7 @@ class RunConfig(OutputConfig):
         algorithm = values.get("algorithm") if isinstance(values, Mapping) else None
         if not isinstance(algorithm, Mapping):
             return values
-        # Stored configs have no `trained`.
+        # Stored configs have no `trained`; `net_arch` is null instead.
         is_marked_untrained = algorithm.get("net_arch", []) is None
         if algorithm.get("trained", True) and not is_marked_untrained:
             return values

@@ -37,7 +37,7 @@ class Family(NamedTuple):
     Attributes:
         sentence: declares them.
         reference: id of the cell that is part of all of them, if any.
-        are_contrasts: whether they were chosen as contrasts.
+        are_contrasts: whether they were declared as contrasts.
     """
 
     couples: Sequence[tuple[CellSummary, CellSummary]] = ()
@@ -60,7 +60,7 @@ def choose_family(
 
     chosen = [(rated[a], rated[b]) for a, b in contrasts if a in rated and b in rated]
     if chosen:
-        words = plural(len(chosen), "chosen contrast")
+        words = plural(len(chosen), "declared contrast")
         return Family(chosen, FAMILY.format(words), are_contrasts=True)
 
     if len(rated) > ALL_PAIRS_UP_TO:

@@ -170,7 +170,7 @@ class ReportData:
     missing: Sequence[str] = ()  # what has no result (yet)
     notes: Sequence[str] = ()
     reference: str | None = None  # id of the cell in all pairs, if any: the baseline or the best
-    are_contrasts: bool = False  # whether the pairs were chosen as contrasts
+    are_contrasts: bool = False  # whether the pairs were declared as contrasts
     tuning: "StoredSearch | None" = None  # the search; the name is that of `report.json`
 
     @property

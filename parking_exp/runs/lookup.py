@@ -77,6 +77,6 @@ def find_run(
         choices.insert(0, LATEST)
     hint = did_you_mean(name, choices) or f"; write {key}={choices[0]}"
     raise RunNotFoundError(
-        f"{key}={name}: there is no such run; {output_dir} has {plural(len(runs), 'run')}, "
-        f"{len(usable)} with {having}{hint}"
+        f"{key}={name}: there is no such run directory or MLflow run id; {output_dir} has "
+        f"{plural(len(runs), 'run')}, {len(usable)} with {having}{hint}"
     )

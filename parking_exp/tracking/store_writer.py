@@ -15,7 +15,10 @@ from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import complete_store, sync_hint, try_sync
 
 POLL_S = 1.0
-PAUSE_S = 300.0  # until a run that could not be synced is tried again: that could take minutes
+# Until a run that could not be synced is tried again. A try may take minutes: the pause is at least
+# so many times as long, since a run in this process waits for it.
+PAUSE_S = 60.0
+PAUSE_RATIO = 10
 SyncPoint = tuple[Status, str | None]
 """Status of a run, and the name of its newest checkpoint."""
 
@@ -38,7 +41,7 @@ class StoreWriter:
 
     @property
     def has_failed(self) -> bool:
-        """Whether a sync has failed, so that a store may lack something."""
+        """Whether the last sync of a run has failed, so that a store may lack something."""
         return bool(self._next_try)
 
     def sync(self, directory: RunDirectory) -> None:
@@ -53,9 +56,12 @@ class StoreWriter:
         for store in self._stores:
             if not store.tracks(directory):
                 continue
+            began = time.monotonic()
             problem = try_sync(directory, store)
+            took = time.monotonic() - began
             if problem is None:
                 self._synced[path] = point
+                self._next_try.pop(path, None)
             elif point == sync_point(directory):  # else it went on, and its files with it
                 if not self.has_failed:
                     hint = sync_hint(directory.output_dir, store.uri)
@@ -63,7 +69,8 @@ class StoreWriter:
                         f"the store {store.uri} is incomplete ({problem}); training continues, and "
                         f"{hint}"
                     )
-                self._next_try[path] = time.monotonic() + PAUSE_S
+                pause = max(PAUSE_S, PAUSE_RATIO * took)
+                self._next_try[path] = began + took + pause
 
     def complete_stores(self, directories: Sequence[RunDirectory]) -> None:
         """Sync what the stores lack of some runs, and say if they still lack some."""

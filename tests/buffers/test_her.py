@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.buffers import DictReplayBuffer
+from stable_baselines3.her.goal_selection_strategy import GoalSelectionStrategy
 from support.marks import slow_but
 
 from parking_exp.buffers import HerBuffer
@@ -339,6 +340,12 @@ def test_goals_that_change_within_an_episode_and_other_achieved_goals(at, change
     other = make(200, 2)
     other.set_state(ours.get_state())
     assert_equal(ours.sample(64), other.sample(64))
+
+
+@pytest.mark.parametrize("strategy", ["futur", GoalSelectionStrategy.FUTURE])
+def test_a_strategy_that_is_none_of_the_four_is_refused(strategy):
+    with pytest.raises(ValueError, match=r"give one of future, final, episode, random, or None$"):
+        make(goal_selection_strategy=strategy)
 
 
 def test_before_the_first_episode_has_ended_there_is_nothing_to_draw():

@@ -86,7 +86,8 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("hydra.job.chdir=true", "output_dir=DIR"),
         ("+hydra.job.env_set.X=1", "environment variables in the shell"),
         ("+hydra.sweeper.params.seed='1,2'", "cells: "),
-        ("hydra.sweeper.params={seed: '1,2'}", "hydra.sweeper.params.seed: there is no such key"),
+        ("hydra.sweeper.params={seed: '1,2'}", "params.seed has no effect; list the values"),
+        ("hydra.job.env_set={X: 1}", "env_set.X has no effect; set environment variables"),
         ("hydra.verbose=true", "only hydra/launcher"),
         ("experiment=nowhere.yaml", "nowhere.yaml"),
     ],
@@ -149,7 +150,7 @@ def test_compose_takes_a_directory_of_the_users_own_options_for_that_call_only(t
         evaluation = compose(*words, config_dir=folder).evaluation
         assert (evaluation.n_scenes, evaluation.first_scene) == (value, 7)
     assert config_refusal("evaluation=long").startswith("evaluation=long")
-    with pytest.raises(ConfigError, match=r"^--config-dir=nowhere is not a directory$"):
+    with pytest.raises(ConfigError, match=r"^--config-dir=nowhere .* is not a directory$"):
         compose("evaluation=long", config_dir="nowhere")
 
 

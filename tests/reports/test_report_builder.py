@@ -349,7 +349,7 @@ def test_a_contrast_compares_matched_cells():
         (f"{name}, her_future, gamma={gamma}", f"{name}, replay, gamma={gamma}")
         for name, gamma in others
     }
-    assert "6 chosen contrasts." in report.family
+    assert "6 declared contrasts." in report.family
     assert report.drawn_pairs == report.pairs
     difference = report.pairs[0].difference
     assert difference.p_corrected == pytest.approx(6 * difference.p)
@@ -446,7 +446,7 @@ def test_declared_contrasts_are_the_family_the_findings_and_in_figures():
     cells = declaring(["gamma=0.5", "gamma=0.51"], ["gamma=0.52", "gamma=0.5"])
     report = content(cells, range(4), rising)
     assert compared(report) == [("5", "51"), ("52", "5")]
-    assert "2 chosen contrasts." in report.family
+    assert "2 declared contrasts." in report.family
     assert report.shown == [f"c{n}" for n in (0, 1, 2, *range(8, 20))]
     assert sum("gamma=0.52 is" in claim and "gamma=0.5 (" in claim for claim in report.claims) == 1
     assert not [warning for warning in report.warnings if "contrast" in warning]

@@ -3,6 +3,7 @@
 import errno
 import gzip
 import json
+import math
 import re
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ import pytest
 from support.runs import copy_of, names_in, read_text, smoke_config
 from support.store_factory import Look, make_store
 
+from parking_exp.config.settings import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
 from parking_exp.results.frame_export import FILES, LOCAL_COLUMNS, without_paths
@@ -254,3 +256,28 @@ def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports
         assert set(results.runs["config.contrasts"]) == {str(contrasts)}
         assert set(results.runs["config.x.number"]) == {0.1}
     assert set(stored.runs["config.x.word"]) == set(LABELS)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        True,
+        3,
+        -0.5,
+        1e-300,
+        math.inf,
+        "",
+        "word",
+        "3",
+        "[1, 2]",
+        '"',
+        '"3"',
+        "None",
+        "é",
+        "2024_11",
+    ],
+)
+def test_settings_come_back_from_text(value):
+    assert decode_setting(encode_setting(value)) == value
+    assert type(decode_setting(encode_setting(value))) is type(value)

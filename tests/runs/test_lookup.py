@@ -48,14 +48,15 @@ def test_an_unknown_name_is_refused_with_suggestions(output_dir):
     latest = output_dir / "sweep" / "cell" / "seed=0"
     assert find_run("latest", output_dir, "models/final.zip", others=()).path == latest
     assert refusal("nothing", output_dir) == (
-        f"run=nothing: there is no such run; {output_dir} has 2 runs, 1 with models/final.zip; "
+        f"run=nothing: there is no such run directory or MLflow run id; {output_dir} has 2 runs, "
+        "1 with models/final.zip; "
         "write run=latest"
     )
     (latest / "models" / "final.zip").unlink()
     for name in ("nothing", "latest"):
         assert refusal(name, output_dir) == (
-            f"run={name}: there is no such run; {output_dir} has 2 runs, 0 with models/final.zip; "
-            "write run=pretrained"
+            f"run={name}: there is no such run directory or MLflow run id; {output_dir} has "
+            "2 runs, 0 with models/final.zip; write run=pretrained"
         )
     assert f"{output_dir / 'empty'} has 0 runs, " in refusal("latest", output_dir / "empty")
 

@@ -222,7 +222,7 @@ def test_of_a_cell_each_seed_starts_from_the_run_with_its_seed(source):
         of_seed = name_source(config).model_copy(update={"seed": seed})
         assert of_seed.cell_key == name_source(config).cell_key
         assert find_source(of_seed).folder == source.path.with_name(f"seed={seed}")
-    with pytest.raises(RunNotFoundError, match=r"^init=.*: there is no such run; "):
+    with pytest.raises(RunNotFoundError, match=r"^init=.*: there is no such run directory "):
         find_source(name_source(config).model_copy(update={"seed": 2}))
 
 
