@@ -37,13 +37,13 @@ class Family(NamedTuple):
     Attributes:
         sentence: declares them.
         reference: id of the cell that is part of all of them, if any.
-        are_contrasts: whether they were declared as contrasts.
+        declared: whether they were declared as contrasts.
     """
 
     couples: Sequence[tuple[CellSummary, CellSummary]] = ()
     sentence: str = ""
     reference: str | None = None
-    are_contrasts: bool = False
+    declared: bool = False
 
 
 def choose_family(
@@ -61,7 +61,7 @@ def choose_family(
     chosen = [(rated[a], rated[b]) for a, b in contrasts if a in rated and b in rated]
     if chosen:
         words = plural(len(chosen), "declared contrast")
-        return Family(chosen, FAMILY.format(words), are_contrasts=True)
+        return Family(chosen, FAMILY.format(words), declared=True)
 
     if len(rated) > ALL_PAIRS_UP_TO:
         best = max(rated.values(), key=lambda cell: cell.success.value or 0.0)

@@ -62,7 +62,7 @@ def _orient_pairs(report: ReportData, best: CellSummary) -> list[Pair]:
 
     That cell is then the first of each.
     """
-    if report.are_contrasts:
+    if report.declared:
         return list(report.pairs)
     reference = report.reference or best.id
     oriented = []

@@ -92,7 +92,7 @@ def build_report(
         effects=compare_levels(summaries, selection.factors),
         provenance=collect_provenance(selection.cells, left_out, results.uri),
         reference=family.reference,
-        are_contrasts=family.are_contrasts,
+        declared=family.declared,
     )
     warnings = [
         *selection.warnings,

@@ -170,7 +170,7 @@ class ReportData:
     missing: Sequence[str] = ()  # what has no result (yet)
     notes: Sequence[str] = ()
     reference: str | None = None  # id of the cell in all pairs, if any: the baseline or the best
-    are_contrasts: bool = False  # whether the pairs were declared as contrasts
+    declared: bool = False  # whether the pairs were declared as contrasts
     tuning: "StoredSearch | None" = None  # the search; the name is that of `report.json`
 
     @property
@@ -201,7 +201,7 @@ class ReportData:
     @property
     def drawn_pairs(self) -> Sequence[Pair]:
         """The pairs that figures show: none where nobody has chosen them and they are many."""
-        chosen = self.are_contrasts or self.reference is not None
+        chosen = self.declared or self.reference is not None
         return self.pairs if chosen or len(self.pairs) <= MAX_DRAWN_PAIRS else ()
 
     def plain(self) -> dict[str, Any]:

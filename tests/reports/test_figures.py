@@ -125,7 +125,7 @@ def test_pairs_are_differences_between_all_cells_or_from_the_baseline(three):
     assert "▲" in axes.texts[1].get_text()
     _, _, ddpg = axes.lines[1:][1::2]
     assert ddpg.get_xdata() == pytest.approx([100 * three.pairs[2].difference.value])
-    long = replace(three, pairs=[three.pairs[0]] * 60, are_contrasts=True)
+    long = replace(three, pairs=[three.pairs[0]] * 60, declared=True)
     pages = [*comparison_figures.draw_pairs(long)]
     assert [len(figure.axes[0].texts) for figure, _ in pages] == [24, 24, 12]
     assert [caption for _, caption in pages[1:]] == ["Continued."] * 2
