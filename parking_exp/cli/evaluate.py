@@ -47,7 +47,8 @@ def sync_results(request: EvaluationRequest, directory: RunDirectory) -> None:
 def read_overrides(words: list[str]) -> list[str]:
     """Return words as overrides; `env.KEY` without `env` changes the env of the agent's training.
 
-    Raises as `_check_words`.
+    Raises:
+        ConfigError: an evaluation can't follow a word.
     """
     _check_words(words)
     changed_sections = ["algorithm."]

@@ -335,7 +335,7 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     known = _container(error.parent_node)
     section = key.rpartition(".")[0]
     if key.startswith("hydra.") and not key.startswith("hydra.launcher."):
-        return f"{key} has no effect; {what_instead(key)}"
+        return f"{key} has no effect; {what_instead(key.removeprefix('hydra.'))}"
     if not isinstance(known, dict):
         return f"{key}: {section} has no keys"
     path = next((path for path in settings_of(known) if f".{name}." in f"{path}."), None)

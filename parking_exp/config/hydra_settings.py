@@ -7,7 +7,7 @@ from omegaconf import DictConfig, OmegaConf
 from parking_exp.config.settings import settings_of
 from parking_exp.errors import ConfigError
 
-# Begins of keys that Hydra itself sets, or that have no effect on files and runs.
+# Prefixes of keys that Hydra itself sets, or that have no effect on files and runs.
 READ: tuple[str, ...] = (
     "help.",
     "job.config_name",
@@ -18,7 +18,7 @@ READ: tuple[str, ...] = (
     "searchpath",
 )
 OUTPUT = "set output_dir=DIR and experiment_name=NAME"
-# By the begin of a key, the first that fits: what to type instead.
+# By the prefix of a key, of which the first that fits counts: what to type instead.
 INSTEAD = {
     "launcher.": "this command launches no runs; leave it out",
     "sweeper.": (
@@ -45,13 +45,12 @@ def check_hydra_settings(composed: DictConfig, ours: DictConfig, *, launches_run
     for key, value in _settings(composed).items():
         if value == default.get(key) or key.startswith(read):
             continue
-        raise ConfigError(f"hydra.{key}={value} has no effect; {what_instead(f'hydra.{key}')}")
+        raise ConfigError(f"hydra.{key}={value} has no effect; {what_instead(key)}")
 
 
 def what_instead(key: str) -> str:
-    """Return what to type instead of one of Hydra's keys that is not read."""
-    own_key = key.removeprefix("hydra.")
-    return next(words for begin, words in INSTEAD.items() if own_key.startswith(begin))
+    """Return what to type instead of a key of `hydra` that is not read."""
+    return next(words for prefix, words in INSTEAD.items() if key.startswith(prefix))
 
 
 def _settings(node: DictConfig) -> dict[str, Any]:
