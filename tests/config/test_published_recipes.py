@@ -75,6 +75,7 @@ def test_published_recipes_have_the_values_of_their_sources(label):
     [
         ("time_to_95", "example, our simulator", EXAMPLE, 100_000),
         ("time_to_95", "example as published", EXAMPLE, 100_000),
+        ("published_vectorized", "Stable-Baselines3 example, our simulator", EXAMPLE, 200_000),
         ("published_vectorized", "highway-env notebook, our simulator", NOTEBOOK, 50_000),
     ],
 )
