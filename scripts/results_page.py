@@ -192,6 +192,17 @@ class Experiment:
                 return pair.reverse()
         raise ValueError(f"{first} and {second} are not compared")
 
+    def comparisons(self) -> str:
+        """Return a Markdown table of the pairs that the report compares, corrected for all."""
+        labels = {cell.id: cell.label for cell in self.report.cells}
+        rows = []
+        for pair in self.report.pairs:
+            mark = formats.VERDICTS[pair.verdict].mark
+            difference = formats.points_interval(pair.difference)
+            p = formats.p_value(pair.difference.p_corrected)
+            rows.append([f"`{labels[pair.a]}`", f"`{labels[pair.b]}`", mark, difference, p])
+        return _table(["cell", "minus"], ["", "difference", "p"], rows)
+
     def mean(self, key: str, level: object) -> str:
         """Return the mean success of the cells with a value of a config key, with its interval."""
         factor = next(effect for effect in self.report.effects if effect.factor == key)

@@ -72,7 +72,10 @@ def build_model(
         raise ConfigError(f"algorithm: {target} refuses its arguments: {error}") from error
 
     if unsaved := _unsaved_weights(model):
-        raise ConfigError(f"algorithm._target_={target}: its files would lose {', '.join(unsaved)}")
+        raise ConfigError(
+            f"algorithm._target_={target}: model files would lack {', '.join(unsaved)}; name them "
+            "in _get_torch_save_params()"
+        )
     return model
 
 

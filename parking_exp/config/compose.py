@@ -191,7 +191,7 @@ def _expand_runs(composer: _Composer, axes: dict[str, list[str]]) -> list[Compos
     experiment = [f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes]
     base = composer.compose(tuple(experiment)).cell_config
     if "seeds" in axes and "seeds" not in base:
-        raise ConfigError("seeds: there is no such key; leave it out, this command takes no seeds")
+        raise ConfigError("seeds: this command has no such key; leave it out")
     blocks: list[Block] = []
     if "seeds" in base:  # a report's cells are labels
         blocks = read_blocks(_container(base.cells))
@@ -264,7 +264,9 @@ def value_of_level(key: str, _root_: DictConfig) -> Any:
 def _check_level(env: DictConfig) -> None:
     """Refuse a level from which no number of an env follows; a stored env has no levels."""
     if env.level and "levels" in env and "${level:" not in OmegaConf.to_yaml(env):
-        raise ConfigError(f"env.level={env.level}: no number of env={env.name} follows from it")
+        raise ConfigError(
+            f"env.level={env.level} has no effect: no key of env={env.name} depends on the level"
+        )
 
 
 OmegaConf.register_new_resolver("options", options_of, replace=True)

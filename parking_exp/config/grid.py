@@ -107,7 +107,7 @@ def read_blocks(value: Any) -> list[Block]:
         for label in labels:
             if not isinstance(label, str | None):  # how it was written is lost: 0.10 is 0.1
                 raise ConfigError(
-                    f"cells: the label {label!r} is no text; put it in quotes, label: '...'"
+                    f"cells: the label {label!r} is not text; put it in quotes, label: '...'"
                 )
     return blocks
 

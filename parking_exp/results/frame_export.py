@@ -102,7 +102,7 @@ def read_export(folder: str | Path) -> Results:
 def refuse_foreign(folder: Path) -> None:
     """Raise ConfigError if a folder for an export holds other files."""
     if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"export={folder}: a file is in the way")
+        raise ConfigError(f"export={folder} is a file; name a folder")
     names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
     # A killed export leaves files with `.tmp-` in front.
     others = [name for name in names if name not in FILES and not name.startswith(".tmp-")]

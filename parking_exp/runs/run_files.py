@@ -131,7 +131,7 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
     interpolation = re.search(r'[^"]*\$\{[^"]*', json.dumps(stored))
     if interpolation is not None:
         raise ConfigError(
-            f"{path} has the interpolation {interpolation[0]}; stored configs have values only"
+            f"{path} contains the interpolation {interpolation[0]}, which a stored config may not"
         )
     try:
         config = check_schema(RunConfig, stored)

@@ -99,7 +99,7 @@ def _is_usable(path: Path) -> bool:
         text = reason_of_failure(error)
         if "out-of-date database schema" in text:  # MLflow adds what an older one lacks
             raise StoreError(
-                f"{path} was made by another MLflow; install that, or {MOVE_IT}"
+                f"{path} was made by another version of MLflow; install that, or {MOVE_IT}"
             ) from error
         if text.endswith("already exists"):  # as tables of interrupted migrations do
             return False

@@ -40,7 +40,7 @@ class Dimension(ConfigModel):
     def _check(self) -> Self:
         forms = [self.log, self.uniform, self.whole, self.choices]
         if forms.count(None) != len(forms) - 1:
-            raise ValueError("takes one of log, uniform, int and choices")
+            raise ValueError("give exactly one of log, uniform, int and choices")
         self.distribution()  # refuses a wrong range
         return self
 

@@ -111,7 +111,7 @@ def test_flags_may_be_anywhere_between_the_overrides(words, expected):
 
 @pytest.mark.parametrize("name", ["status", "export"])
 def test_commands_without_seeds_say_so(name):
-    sentence = "seeds: there is no such key; leave it out, this command takes no seeds"
+    sentence = "seeds: this command has no such key; leave it out"
     assert refusal(name, "seeds=2") == sentence
 
 

@@ -217,7 +217,7 @@ def test_labels_of_an_experiment_file_are_text_and_one_that_yaml_reads_as_a_numb
     with pytest.raises(ConfigError, match=r"did you mean '0\.10'\?$"):
         compose_configs("config", [f"experiment={path}", "label=0.1"])
     path.write_text("# @package _global_\ncells:\n  - {label: 0.10}\n")
-    with pytest.raises(ConfigError, match=r"^cells: the label 0\.1 is no text; put it in quotes"):
+    with pytest.raises(ConfigError, match=r"^cells: the label 0\.1 is not text; put it in quotes"):
         compose_configs("config", [f"experiment={path}"])
 
 

@@ -173,7 +173,7 @@ def test_a_folder_with_other_files_is_refused_and_left_alone(stored, tmp_path):
     ):
         write_export(stored, tmp_path)
     assert names_in(tmp_path) == ["notes.txt"]
-    with pytest.raises(ConfigError, match="a file is in the way"):
+    with pytest.raises(ConfigError, match="is a file; name a folder"):
         write_export(stored, tmp_path / "notes.txt")
 
 

@@ -216,7 +216,7 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
             ["lot.slot_length_m=long"],
             "give a length of at most 1000 m, or the lowest and the highest",
         ),
-        (["lot.starts.y_m=[1,0]"], "env.lot.starts.y_m: the lowest number comes first"),
+        (["lot.starts.y_m=[1,0]"], "env.lot.starts.y_m: a range is [lowest, highest]"),
         (["lot.angle_deg=[60,45]"], "env.lot.angle_deg: give an angle from 0 to 90 degrees"),
         (["lot.angle_deg=[45,91]"], "give an angle from 0 to 90 degrees, or the lowest and the"),
         (["lot.angle_deg=-1"], "give an angle from 0 to 90 degrees, or the lowest and the highest"),
@@ -259,7 +259,7 @@ def test_a_level_that_there_is_not_is_the_only_key_that_is_named():
 @pytest.mark.parametrize("level", ["env.level=hard", "++env.level=hard"])
 def test_a_level_that_sets_no_number_is_refused(overrides, level):
     keys = [f"env.{override}" for override in overrides]
-    sentence = "env.level=hard: no number of env=parking_parallel follows from it"
+    sentence = "env.level=hard has no effect: no key of env=parking_parallel depends on the level"
     assert config_refusal("env=parking_parallel", level, *keys) == sentence
     assert env_config("parking_parallel", *overrides).level == "easy"
     assert env_config("parking_parallel", "level=null", *overrides).level is None

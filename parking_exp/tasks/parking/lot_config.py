@@ -39,7 +39,7 @@ def _sampled(lowest: float, highest: float, sentence: str) -> AfterValidator:
 
 def _check_order(value: list[float]) -> list[float]:
     if value[0] > value[1]:
-        raise ValueError("the lowest number comes first")
+        raise ValueError("a range is [lowest, highest]")
     return value
 
 
