@@ -18,9 +18,16 @@ def quoted_label(label: str) -> str:
 
 def list_names(names: Sequence[str]) -> str:
     """List labels and the like, the first few of many; one that has commas itself is in quotes."""
-    few = [quoted_label(name) for name in names[:FEW_NAMES]]
-    last = f"{len(names) - FEW_NAMES} more" if len(names) > FEW_NAMES else few.pop()
-    return f"{', '.join(few)} and {last}" if few else last
+    parts = [quoted_label(name) for name in names[:FEW_NAMES]]
+    if len(names) > FEW_NAMES:
+        parts.append(f"{len(names) - FEW_NAMES} more")
+    return join_with_and(parts)
+
+
+def join_with_and(parts: Sequence[str]) -> str:
+    """Write `a, b and c`."""
+    first = ", ".join(parts[:-1])
+    return f"{first} and {parts[-1]}" if first else parts[-1]
 
 
 def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:

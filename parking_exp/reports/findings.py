@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from parking_exp.config.settings import display_setting
-from parking_exp.phrases import FEW_NAMES, list_names, quoted_label
+from parking_exp.phrases import FEW_NAMES, join_with_and, list_names, quoted_label
 from parking_exp.reports.cell_comparisons import judge
 from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import CellSummary, Pair, ReportData
@@ -92,7 +92,7 @@ def _list_others(pairs: Sequence[Pair], labels: Mapping[str, str]) -> str:
     gaps = [_write_gap(labels[pair.b], pair.difference) for pair in by_size]
     if len(gaps) > FEW_NAMES:
         return f"{len(gaps)} others, from {gaps[0]} to {gaps[-1]}."
-    return f"{'; '.join(gaps)}."
+    return f"{join_with_and(gaps)}."
 
 
 def _write_gap(label: str, difference: Difference) -> str:
