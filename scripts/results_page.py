@@ -103,13 +103,13 @@ class Experiment:
 
     def rate(self, label: str, metric: str = "success") -> str:
         """Return the mean rate of a cell with its interval, e.g. `94.4 % [91.2, 97.1]`."""
-        return formats.rate_interval(self.cell(label).metrics[metric])
+        return formats.percent_interval_in_words(self.cell(label).metrics[metric])
 
     def seeds(self, label: str, metric: str = "success") -> str:
         """Return a cell's mean rate (lowest to highest seed), e.g. `94.4 % (90.1 to 100.0 %)`."""
         cell = self.cell(label)
         low, high = _ends(cell, metric)
-        return f"{formats.rate_text(cell.metrics[metric].value)} ({low} to {high} %)"
+        return f"{formats.percent_in_words(cell.metrics[metric].value)} ({low} to {high} %)"
 
     def cpu_s(self, label: str) -> str:
         """Return the mean CPU seconds of a cell's runs."""
@@ -127,8 +127,8 @@ class Experiment:
     def difference(self, first: str, second: str) -> str:
         """Return two cells' difference in success, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
         difference = self._pair(first, second).difference
-        p = formats.p_value(difference.p_corrected)
-        return f"{formats.points_interval(difference)}, {p}"
+        p = formats.p_in_words(difference.p_corrected)
+        return f"{formats.points_interval_in_words(difference)}, {p}"
 
     def verdict(self, first: str, second: str) -> str:
         """Return the verdict on two cells' difference in success, and its points, e.g. `▲ +9.1`."""
@@ -138,7 +138,7 @@ class Experiment:
 
     def ranks(self, first: str, second: str) -> str:
         """Return p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
-        return formats.p_value(self._pair(first, second).rank_p)
+        return formats.p_in_words(self._pair(first, second).rank_p)
 
     def cpu_time_ratio(self, first: str, second: str) -> str:
         """Return the second cell's CPU time until success stays at 95 %, divided by the first's.
@@ -213,7 +213,7 @@ class Experiment:
         """Return the mean success of the cells with a value of a config key, with its interval."""
         factor = next(effect for effect in self.report.effects if effect.factor == key)
         effects = {item.level: item.effect for item in factor.levels}
-        return formats.rate_interval(effects[level])
+        return formats.percent_interval_in_words(effects[level])
 
     def table(self, factors: dict[str, str], *columns: str, labels: tuple[str, ...] = ()) -> str:
         """Return a Markdown table of cells.

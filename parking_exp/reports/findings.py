@@ -5,7 +5,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from parking_exp.config.settings import display_setting
 from parking_exp.phrases import FEW_NAMES, join_with_and, list_names, quoted_label
 from parking_exp.reports.cell_comparisons import judge
-from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
+from parking_exp.reports.formats import (
+    VERDICTS,
+    p_in_words,
+    percent_interval_in_words,
+    points_interval_in_words,
+)
 from parking_exp.reports.report_data import CellSummary, Pair, ReportData
 from parking_exp.statistics import ENOUGH_FOR_A_TEST, Difference
 
@@ -45,7 +50,7 @@ def _describe_best(rated: Sequence[CellSummary]) -> str:
     best = rated[0]
     if best.success.value == 0 and len(rated) > 1:
         return "No cell succeeds in any episode."
-    rate = rate_interval(best.success)
+    rate = percent_interval_in_words(best.success)
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
     if len(rated) == 1:
         return f"{quoted_label(best.label)} succeeds in {rate} of the episodes, {seeds}."
@@ -97,8 +102,8 @@ def _list_others(pairs: Sequence[Pair], labels: Mapping[str, str]) -> str:
 
 def _write_gap(label: str, difference: Difference) -> str:
     """Write `td3 (+26.1 points [+16.9, +35.4], p = 0.0004)`."""
-    p = p_value(difference.p_corrected)
-    return f"{quoted_label(label)} ({points_interval(difference)}, {p})"
+    p = p_in_words(difference.p_corrected)
+    return f"{quoted_label(label)} ({points_interval_in_words(difference)}, {p})"
 
 
 def _describe_factors(report: ReportData) -> Iterator[str]:
@@ -108,12 +113,14 @@ def _describe_factors(report: ReportData) -> Iterator[str]:
             continue
         high = effect.highest
         low = effect.lowest
-        parts = [points_interval(effect.largest)]
+        parts = [points_interval_in_words(effect.largest)]
         if effect.p is not None:
-            parts.append(p_value(effect.p))
+            parts.append(p_in_words(effect.p))
         verdict = LEVEL_VERDICTS.get(judge(effect.largest), "")
+        high_rate = percent_interval_in_words(high.effect)
+        low_rate = percent_interval_in_words(low.effect)
         yield (
             f"{report.factor_names[effect.factor]}: {verdict}{display_setting(high.level)} "
-            f"({rate_interval(high.effect)}) minus {display_setting(low.level)} "
-            f"({rate_interval(low.effect)}), averaged over other factors: {', '.join(parts)}."
+            f"({high_rate}) minus {display_setting(low.level)} "
+            f"({low_rate}), averaged over other factors: {', '.join(parts)}."
         )

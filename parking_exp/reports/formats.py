@@ -1,4 +1,7 @@
-"""Numbers and config values as texts. What is not known is an empty text."""
+"""Numbers and config values as texts: `X` is for tables, `X_in_words` for sentences.
+
+Tables leave what is not known empty.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -58,7 +61,7 @@ def number(value: float | None, digits: int = 0) -> str:
     return "" if value is None else f"{value:,.{digits}f}"
 
 
-def probability(p: float | None) -> str:
+def p_value(p: float | None) -> str:
     """Write a p value for a table, down to 0.0001."""
     p = finite_or_none(p)
     if p is None:
@@ -68,9 +71,9 @@ def probability(p: float | None) -> str:
     return f"{p:.3f}" if p >= 0.001 else f"{p:.4f}"
 
 
-def p_value(p: float | None) -> str:
+def p_in_words(p: float | None) -> str:
     """Write a p value for a sentence: `p = 0.012`."""
-    text = probability(p)
+    text = p_value(p)
     if not text:
         return ""
     return f"p {text}" if text.startswith("≤") else f"p = {text}"
@@ -81,25 +84,25 @@ def percent_interval(interval: Interval) -> str:
     return percent(interval.value) + _write_bounds(interval, percent)
 
 
-def difference_interval(interval: Interval) -> str:
+def points_interval(interval: Interval) -> str:
     """Write `+9.1 [+4.0, +14.2]`, or the number alone."""
     return points(interval.value) + _write_bounds(interval, points)
 
 
-def points_interval(interval: Interval) -> str:
+def points_interval_in_words(interval: Interval) -> str:
     """Write `+9.1 points [+4.0, +14.2]`, or the number alone."""
     return f"{points(interval.value)} points{_write_bounds(interval, points)}"
 
 
-def rate_text(value: float | None) -> str:
-    """Write 0.944 as `94.4 %`, for sentences."""
+def percent_in_words(value: float | None) -> str:
+    """Write 0.944 as `94.4 %`, and what is not known as `unknown`."""
     text = percent(value)
     return f"{text} %" if text else "unknown"
 
 
-def rate_interval(interval: Interval) -> str:
+def percent_interval_in_words(interval: Interval) -> str:
     """Write `94.4 % [91.2, 97.1]`, or the number alone where it has no interval."""
-    return rate_text(interval.value) + _write_bounds(interval, percent)
+    return percent_in_words(interval.value) + _write_bounds(interval, percent)
 
 
 def level(value: Any) -> str:

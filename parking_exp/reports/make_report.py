@@ -50,13 +50,13 @@ def make_report(request: ReportRequest) -> None:
     export_folder = directory_path(request.export) if request.export else None
     if export_folder:
         refuse_foreign(export_folder)
-    own_sections = load_sections(request.report.sections)
+    user_sections = load_sections(request.report.sections)
     with make_console(stderr=True).status("") as progress:
         source = _read_source(request, progress.update)
         progress.update(f"comparing {plural(len(source.results.runs), 'run')}")
         report = _build_content(request, source)
         progress.update("drawing")
-        folder = _write_files(request, report, own_sections)
+        folder = _write_files(request, report, user_sections)
         if export_folder:
             progress.update("exporting")
             write_report_export(source, report, export_folder, only_cells=bool(request.cells_asked))
@@ -121,7 +121,7 @@ def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
 
 
 def _write_files(
-    request: ReportRequest, report: ReportData, own_sections: Sequence[Section]
+    request: ReportRequest, report: ReportData, user_sections: Sequence[Section]
 ) -> Path:
     """Write a report into the output directory, and return its folder."""
     # In a store, experiments may be called anything.
@@ -131,7 +131,7 @@ def _write_files(
     refuse_links(folder.rglob("*"), folder)
     folder.mkdir(parents=True, exist_ok=True)
     with FileLock(folder / ".lock"):
-        write_report(report, folder, request.report.formats, own_sections)
+        write_report(report, folder, request.report.formats, user_sections)
     return folder
 
 

@@ -26,10 +26,10 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 
 def write_report(
-    report: ReportData, folder: Path, formats: Sequence[str], own_sections: Sequence[Section] = ()
+    report: ReportData, folder: Path, formats: Sequence[str], user_sections: Sequence[Section] = ()
 ) -> None:
     """Write all files of a report, the page last; figures and tables are replaced as a whole."""
-    sections = [*sections_of(report), *own_sections]
+    sections = [*sections_of(report), *user_sections]
     numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as temporary:
         new = Path(temporary)

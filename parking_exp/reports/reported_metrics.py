@@ -24,7 +24,7 @@ class ReportedMetric(NamedTuple):
 
 OF_EVERY_TASK = ("success", "timeout", "episode_steps")
 """Names of metrics that a report has even where they are unknown."""
-OWN = [
+PACKAGE_METRICS = [
     ReportedMetric(
         name=metric.name if metric.is_rate else metric.run_column,
         column=metric.run_column,
@@ -41,7 +41,7 @@ def reported_metrics(names: Iterable[str]) -> list[ReportedMetric]:
 
     A user's metric is stored by its key alone, which serves as its name and its column.
     """
-    metrics = [*OWN]
+    metrics = [*PACKAGE_METRICS]
     for key in added_metrics(names):
         name, _, kind = key.rpartition("_")
         is_rate = kind == "rate"

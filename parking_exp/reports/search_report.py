@@ -52,8 +52,8 @@ def with_search(report: ReportData, search: StoredSearch) -> ReportData:
             0,
             f"On {plural(len(best.test), 'test seed')}, “{best.label}” is the best of "
             f"{plural(len(search.retested), 'retrained trial')}: {OBJECTIVE} "
-            f"{formats.rate_interval(mean_interval(best.test))}; "
-            f"tuning minus test {formats.points_interval(_compare_seeds(best))}.",
+            f"{formats.percent_interval_in_words(mean_interval(best.test))}; "
+            f"tuning minus test {formats.points_interval_in_words(_compare_seeds(best))}.",
         )
     warning = (
         "Cells of a search include runs on the tuning seeds that trials were selected by; "
@@ -79,7 +79,7 @@ def describe_search(report: ReportData) -> Iterator[str]:
         f"Objective: {OBJECTIVE}, mean over {plural(len(settings.tuning_seeds), 'tuning seed')}."
     )
     for best in rank_trials(search.trials)[:1]:
-        text += f" The best is “{best.label}” with {formats.rate_text(best.value)}."
+        text += f" The best is “{best.label}” with {formats.percent_in_words(best.value)}."
     yield text
 
 
@@ -135,7 +135,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
         text_column("Trial", "label"),
         interval_column("Tuning seeds", "tuning"),
         interval_column("Test seeds", "test"),
-        interval_column("Tuning minus test", "difference", formats.points_interval),
+        interval_column("Tuning minus test", "difference", formats.points_interval_in_words),
     ]
     caption = (
         "The best trials and trial 0, the unchanged config, trained again on seeds that no trial "

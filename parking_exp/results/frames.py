@@ -160,7 +160,7 @@ def as_results_error(what: str) -> Iterator[None]:
 
 
 def _choose_experiments(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
-    ids = store.experiments()
+    ids = store.experiment_ids()
     if experiments is None:
         return ids
     names = [experiments] if isinstance(experiments, str) else list(experiments)

@@ -59,7 +59,7 @@ def launcher_of(
         try:
             launcher_class: Any = get_class(settings["_target_"])
             if not issubclass(launcher_class, Plugin):
-                return _own_launcher(launcher_class, settings)
+                return _plain_launcher(launcher_class, settings)
             if connect and name == "ray":
                 _connect_to_ray(settings)
             return _plugin_launcher(name, settings, extra_config_dir)
@@ -67,7 +67,7 @@ def launcher_of(
             raise _unusable(name, error) from error
 
 
-def _own_launcher(launcher_class: Any, settings: Mapping[str, Any]) -> Launcher:
+def _plain_launcher(launcher_class: Any, settings: Mapping[str, Any]) -> Launcher:
     """Return a launcher of this package, or of a user's, that is no plugin of Hydra."""
     arguments = dict(settings)
     del arguments["_target_"]

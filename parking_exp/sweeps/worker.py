@@ -55,7 +55,9 @@ def _train(directory: RunDirectory, n_threads: int) -> int:
         gc.freeze()
         gc.enable()
         if n_threads:
-            torch.set_num_threads(n_threads)  # a forked process has read the server's environment
+            torch.set_num_threads(
+                n_threads
+            )  # a forked process has read the fork server's environment
         # Slurm signals every process of a job, and the supervisor passes its own signal on: the
         # checkpoint comes first.
         with unfailing_output(), directory.training_lock(), stop_on_signal(None) as stop:

@@ -1,4 +1,4 @@
-"""Worker processes: forked from a server with torch imported, or fresh where forks are unsafe."""
+"""Worker processes: forks of `fork_server`, with torch imported, or fresh where forks are unsafe."""
 
 import multiprocessing
 import os
@@ -54,7 +54,7 @@ class WorkerProcess:
         # Both import the same package as this process, wherever that was found.
         same_imports = {"PYTHONPATH": os.pathsep.join(sys.path), "PYTHONSAFEPATH": "1"}
         with _LOCK, _environment(same_imports), _hidden_program():
-            multiprocessing.set_forkserver_preload(["parking_exp.sweeps.server"])
+            multiprocessing.set_forkserver_preload(["parking_exp.sweeps.fork_server"])
             self._process.start()
 
     @property

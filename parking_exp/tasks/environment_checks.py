@@ -133,14 +133,14 @@ def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
     infos = reward.steps.infos
     far = (achieved + FAR).astype(achieved.dtype)
     try:
-        own = reward.compute(achieved, achieved.copy(), infos)
+        at_goal = reward.compute(achieved, achieved.copy(), infos)
         with_far_goal = reward.compute(achieved, far, infos)
         from_far = reward.compute(far, achieved, infos)
     except Exception:  # an environment may refuse goals that can't be reached: it looks at them
         return None
-    if np.array_equal(own, with_far_goal) and np.array_equal(own, computed):
+    if np.array_equal(at_goal, with_far_goal) and np.array_equal(at_goal, computed):
         return "desired_goal"
-    return "achieved_goal" if np.array_equal(own, from_far) else None
+    return "achieved_goal" if np.array_equal(at_goal, from_far) else None
 
 
 def resumes_exactly(config: GymnasiumConfig) -> bool:

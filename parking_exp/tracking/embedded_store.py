@@ -34,7 +34,7 @@ def rebuild_if_unusable(store: Store) -> None:
 
     Raises whatever MLflow, SQLAlchemy or the disk raise.
     """
-    path = store.own_database
+    path = store.embedded_database
     if path is None or (store.is_checked and path.exists()):
         return
     store.refuse_link()
@@ -59,7 +59,7 @@ def _build(store: Store, path: Path) -> None:
     # A new name, since MLflow remembers which stores it has made.
     unfinished = path.with_name(f"{path.name}.build-{secrets.token_hex(4)}")
     new = Store(f"{SQLITE}{unfinished}", output_dir)
-    new.experiments()  # which makes it, even for no run
+    new.experiment_ids()  # which makes it, even for no run
     directories = [RunDirectory(run_dir) for run_dir in find_runs(output_dir)]
     tracked = [directory for directory in directories if store.tracks(directory)]
     progress = track(

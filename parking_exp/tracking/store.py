@@ -50,30 +50,30 @@ class Store:
         self.uri = absolute_uri(uri)
         self.is_checked = False  # whether `rebuild_if_unusable` found it usable, or made it again
         self._database = database_file(self.uri)
-        self._own_directory: Path | None = None
+        self._output_dir: Path | None = None
         if self._database and output_dir and self._database.is_relative_to(output_dir):
-            self._own_directory = output_dir
+            self._output_dir = output_dir
         self._runs = dict[frozenset[str], "list[Run]"]()  # of `runs`
 
     @property
-    def is_own(self) -> bool:
-        """Whether this is the store inside of the output directory."""
-        return self._own_directory is not None
+    def is_inside(self) -> bool:
+        """Whether this is a database inside of the output directory."""
+        return self._output_dir is not None
 
     @cached_property
     def client(self) -> "MlflowClient":
         """MLflow's client of the store, for reading; see `writing`. Raises what `client.connect`
         does.
         """
-        if self._own_directory:
+        if self._output_dir:
             say_ignored_store()
         self.refuse_link()
         return connect(self.uri)
 
     @property
-    def own_database(self) -> Path | None:
+    def embedded_database(self) -> Path | None:
         """Its file, if it is the one store that the output directory itself has."""
-        if self._own_directory is None or self.uri != default_uri(self._own_directory):
+        if self._output_dir is None or self.uri != default_uri(self._output_dir):
             return None
         return self._database
 
@@ -85,7 +85,7 @@ class Store:
     def refuse_link(self) -> None:
         """Raise StoreError if its file is a link that leads out of its output directory."""
         path = self._database
-        root = self._own_directory
+        root = self._output_dir
         if path and root and not lies_inside(path, root):
             raise StoreError(
                 f"{path} is a symbolic link that leads out of {root}; name the store with "
@@ -100,7 +100,7 @@ class Store:
         with write_lock(self.uri):
             yield client
 
-    def experiments(self) -> dict[str, str]:
+    def experiment_ids(self) -> dict[str, str]:
         """Return the ids of all experiments that are not deleted, by name."""
         experiments = self.client.search_experiments(max_results=EXPERIMENTS)
         return {experiment.name: experiment.experiment_id for experiment in experiments}
@@ -142,8 +142,8 @@ class Store:
             return None
         return (self._database.parent if self._database else Path()) / tag
 
-    def experiment_id(self, config: RunConfig) -> str:
-        """Return the id of a run's experiment, which is made if need be."""
+    def find_or_make_experiment(self, config: RunConfig) -> str:
+        """Return the id of a run's experiment; make the experiment if there is none."""
         name = config.experiment_name
         # Else the UI shows traces and prompts of GenAI.
         tags = {"mlflow.experimentKind": "custom_model_development"}
@@ -152,8 +152,8 @@ class Store:
         # current directory.
         if not self.uri.startswith(("http", "databricks")):
             location = (config.output_path / ARTIFACTS / name).as_uri()
-        if self._own_directory:
-            tags[OUTPUT_DIR_TAG] = str(self._own_directory)
+        if self._output_dir:
+            tags[OUTPUT_DIR_TAG] = str(self._output_dir)
         with self.writing() as client:
             experiment = client.get_experiment_by_name(name)
             if experiment is None:
@@ -241,7 +241,7 @@ class Store:
         """
         folder = local_folder(folder_uri)
         path = folder / name if folder else None
-        root = self._own_directory
+        root = self._output_dir
         if root is not None and (path is None or not lies_inside(path, root)):
             raise StoreError(
                 f"this store keeps artifacts outside of {root}, in {folder_uri}; use another "

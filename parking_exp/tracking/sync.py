@@ -142,12 +142,12 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
         StoreError: the store fails.
     """
     try:
-        own_id = None if store.is_own else output_id(directory.output_dir)
+        own_id = None if store.is_inside else output_id(directory.output_dir)
         for run in _runs_of_experiments([directory], store):
             run_dir = store.run_dir(run)
             is_same = run_dir is not None and resolved(run_dir) == resolved(directory.path)
-            is_own = run.data.tags.get(OUTPUT_ID) == own_id
-            if is_same and is_own and run.info.lifecycle_stage != "deleted":
+            has_same_owner = run.data.tags.get(OUTPUT_ID) == own_id
+            if is_same and has_same_owner and run.info.lifecycle_stage != "deleted":
                 with store.writing() as client:
                     client.delete_run(run.info.run_id)
     except Exception as error:
@@ -175,6 +175,6 @@ def _runs_by_state(
 def _runs_of_experiments(directories: Iterable[RunDirectory], store: Store) -> "list[Run]":
     """Return all runs that a store has of the experiments of some directories."""
     rebuild_if_unusable(store)
-    ids = store.experiments()
+    ids = store.experiment_ids()
     names = {directory.path.parents[1].name for directory in directories}
     return store.runs(ids[name] for name in names if name in ids)

@@ -19,7 +19,7 @@ def main() -> None:
     if path is not None and not path.exists():
         say(f"there is no store {path} yet; train something first")
         return
-    for name, experiment_id in sorted(store.experiments().items(), key=lambda item: item[1]):
+    for name, experiment_id in sorted(store.experiment_ids().items(), key=lambda item: item[1]):
         if name != "Default":  # MLflow makes it; it stays empty
             address = f"http://127.0.0.1:{port}/#/experiments/{experiment_id}/runs?workflowType=machine_learning"
             say(f"{name:<20} {address}")

@@ -41,7 +41,7 @@ def write_run(directory: RunDirectory, store: Store) -> None:
     _refuse_damage(directory)
     snapshot = take_snapshot(directory, store)
     tags = snapshot.tags
-    experiment_id = store.experiment_id(snapshot.config)
+    experiment_id = store.find_or_make_experiment(snapshot.config)
     run, earlier = _find(directory, store, experiment_id, tags)
     if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
         return  # its results stay until that is done
@@ -85,7 +85,7 @@ def write_new_run(
     snapshot = take_snapshot(directory, store)
     name = snapshot.config.experiment_name
     if name not in experiment_ids:
-        experiment_ids[name] = store.experiment_id(snapshot.config)
+        experiment_ids[name] = store.find_or_make_experiment(snapshot.config)
     all_tags = {**snapshot.tags, **snapshot.last_tags}
     run = _create(store, experiment_ids[name], all_tags, snapshot.last_name)
     _record_id(directory, run, uri)

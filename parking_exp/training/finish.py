@@ -51,7 +51,7 @@ def finish(session: RunSession) -> pd.DataFrame:
     session.save_final(directory.models / "final.zip")
     paths.write(directory.path / PATHS_FILE)
     title = f"{config.experiment_name}: {directory.path.parent.name}"
-    plot_learning_curves(session.metrics.frame(), metrics, title, directory.path / "curves.png")
+    plot_learning_curves(session.metrics_log.frame(), metrics, title, directory.path / "curves.png")
     if settings.video_episodes:
         session.bar.show_activity("video")
         filmed = settings.seeds(settings.video_episodes)

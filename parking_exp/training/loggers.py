@@ -30,7 +30,7 @@ MAX_NAME_LENGTH = 60
 def make_logger(
     tracking: TrackingConfig,
     run_dir: Path,
-    metrics: MetricsLog,
+    metrics_log: MetricsLog,
     label: str,
     on_row: Callable[[int, dict[str, float]], None],
 ) -> Logger:
@@ -42,7 +42,7 @@ def make_logger(
     Args:
         tracking: which outputs the run has.
         run_dir: where they are.
-        metrics: the log of the run so far, which is continued.
+        metrics_log: the log of the run so far, which is continued.
         label: the label of the run's cell; TensorBoard names a run by its folder.
         on_row: called with the step and the metrics of each new row.
     """
@@ -51,7 +51,7 @@ def make_logger(
     if tracking.tensorboard:
         shutil.rmtree(run_dir / TENSORBOARD_DIR, ignore_errors=True)
         board = TensorBoardOutputFormat(str(run_dir / TENSORBOARD_DIR / _folder_name(label)))
-    formats: list[KVWriter] = [_MetricsWriter(metrics, table, board, on_row)]
+    formats: list[KVWriter] = [_MetricsWriter(metrics_log, table, board, on_row)]
     if tracking.stdout:
         formats.append(HumanOutputFormat(sys.stdout))
     return Logger(str(run_dir), formats)
@@ -78,22 +78,22 @@ class _MetricsWriter(KVWriter):
 
     def __init__(
         self,
-        metrics: MetricsLog,
+        metrics_log: MetricsLog,
         table: CSVOutputFormat | None,
         board: TensorBoardOutputFormat | None,
         on_row: Callable[[int, dict[str, float]], None],
     ) -> None:
-        self.metrics = metrics
+        self.metrics_log = metrics_log
         self.table = table
         self.board = board
         self.on_row = on_row
-        for record in read_metrics(metrics.path):
+        for record in read_metrics(metrics_log.path):
             self._add_row(record["metrics"], record["step"], record["time_ms"] / 1000)
 
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
-        row = self.metrics.append(step, key_values)
+        row = self.metrics_log.append(step, key_values)
         self._add_row(row, step)
         if row:
             self.on_row(step, row)

@@ -58,9 +58,9 @@ class RunSession(ABC):
         directory.models.mkdir(exist_ok=True)
         self.task = make_task(config.env)
         resources.callback(self.task.close)
-        self.metrics = MetricsLog(path / METRICS_FILE)
+        self.metrics_log = MetricsLog(path / METRICS_FILE)
         label = read_state(path).label
-        self.logger = make_logger(config.tracking, path, self.metrics, label, trackers.log)
+        self.logger = make_logger(config.tracking, path, self.metrics_log, label, trackers.log)
         resources.callback(self.logger.close)
         self.bar = TrainingProgress(
             config.total_timesteps,
@@ -88,8 +88,8 @@ class RunSession(ABC):
     def save_final(self, path: Path) -> None:
         """Write the file of the final policy."""
 
-    def final_policy(self) -> AbstractContextManager[None]:
-        """Make `policy` the final one within a block."""
+    def evaluated_policy(self) -> AbstractContextManager[None]:
+        """Make `policy` the one that is evaluated and saved, within a block."""
         return nullcontext()
 
     @abstractmethod

@@ -94,13 +94,13 @@ def _train_and_evaluate(
             session = ScriptedSession(config, directory, trackers, stop, resources)
         try:
             session.learn()
-            with session.final_policy():
+            with session.evaluated_policy():
                 episodes = finish(session)
         except InterruptedRunError:
             session.save_checkpoint()
             raise
 
-    metrics = session.metrics.latest()
+    metrics = session.metrics_log.latest()
     description = describe(episodes, session.task.metrics)
     directory.finish(
         RunResult(str(directory.path), directory.run_id, session.step, metrics),

@@ -114,8 +114,10 @@ class TrainingSession(RunSession):
         remaining = self.config.total_timesteps - self.step
         if remaining > 0:
             interval = self.config.tracking.log_interval
-            own: list[BaseCallback] = [instantiate(node) for node in self.config.callbacks or ()]
-            callbacks = [RolloutCallback(self), UpdateNormalizer(), *own]
+            user_callbacks: list[BaseCallback] = [
+                instantiate(node) for node in self.config.callbacks or ()
+            ]
+            callbacks = [RolloutCallback(self), UpdateNormalizer(), *user_callbacks]
             self.model.learn(remaining, callbacks, log_interval=interval, reset_num_timesteps=False)
         self.restore_rollout_state()
         self.save_checkpoint()
@@ -124,7 +126,7 @@ class TrainingSession(RunSession):
         """Evaluate the model on the first of the fixed episodes."""
         self.bar.show_activity("evaluation")
         settings = self.config.evaluation
-        with self.final_policy():
+        with self.evaluated_policy():
             episodes = self.run_episodes(settings.seeds(settings.n_scenes))
             summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
@@ -174,7 +176,7 @@ class TrainingSession(RunSession):
             self.logger.record("buffer/real_share", buffer.real_share)
         super().dump_metrics()
 
-    def final_policy(self) -> AbstractContextManager[None]:
+    def evaluated_policy(self) -> AbstractContextManager[None]:
         """Give the actor its EMA weights within a block."""
         return self.policy_ema.applied()
 

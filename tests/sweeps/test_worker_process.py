@@ -41,7 +41,7 @@ FORKED = pytest.mark.skipif(
 )
 
 SERVER = """
-import sys, psutil, parking_exp.sweeps.server, torch
+import sys, psutil, parking_exp.sweeps.fork_server, torch
 assert "parking_exp.training.train_run" in sys.modules
 assert not {"mlflow", "optuna", "sqlalchemy"} & {*sys.modules}
 assert not torch.cuda.is_initialized()

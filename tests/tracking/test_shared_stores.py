@@ -24,7 +24,7 @@ def central(empty, tmp_path):
 def stages(uri):
     """Lifecycle stage and start of all stored runs."""
     store = Store(uri, None)
-    runs = store.search([*store.experiments().values()])
+    runs = store.search([*store.experiment_ids().values()])
     return sorted((run.info.start_time, run.info.lifecycle_stage) for run in runs)
 
 

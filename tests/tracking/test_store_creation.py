@@ -57,13 +57,13 @@ def test_a_missing_store_is_made_from_all_run_directories(output_dir):
 def test_a_store_that_is_made_looks_up_an_experiment_once(output_dir, monkeypatch):
     first, *_ = store_with_runs(output_dir)
     looked_up = []
-    experiment_id = Store.experiment_id
+    find_or_make_experiment = Store.find_or_make_experiment
 
     def count(self, config):
         looked_up.append(config.experiment_name)
-        return experiment_id(self, config)
+        return find_or_make_experiment(self, config)
 
-    monkeypatch.setattr(Store, "experiment_id", count)
+    monkeypatch.setattr(Store, "find_or_make_experiment", count)
     rebuild_if_unusable(Store(first.tracking_uri, output_dir))
     assert looked_up == ["smoke"]
     assert stored(output_dir) == [0, 1, 2]

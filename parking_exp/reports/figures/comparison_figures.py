@@ -17,7 +17,7 @@ from parking_exp.figure_style import (
     wrapped_labels,
 )
 from parking_exp.report_section import CaptionedFigure
-from parking_exp.reports.formats import VERDICTS, level, p_value, points_interval
+from parking_exp.reports.formats import VERDICTS, level, p_in_words, points_interval_in_words
 from parking_exp.reports.report_data import Pair, ReportData
 
 
@@ -56,8 +56,8 @@ def _draw_differences(pairs: Sequence[Pair], labels: Sequence[str]) -> Figure:
         ends = [pair.difference.low, pair.difference.high]
         axes.plot(percentages(ends), [row, row], color=INK)
         axes.plot(percentages([pair.difference.value]), row, color=INK, marker="o", markersize=5)
-        verdict = f"{VERDICTS[pair.verdict].mark} {p_value(pair.difference.p_corrected)}"
-        text = f"{points_interval(pair.difference)}   {verdict}"
+        verdict = f"{VERDICTS[pair.verdict].mark} {p_in_words(pair.difference.p_corrected)}"
+        text = f"{points_interval_in_words(pair.difference)}   {verdict}"
         axes.text(1.02, row, text, transform=at_right, fontsize=SMALL_PT, va="center")
     return figure
 

@@ -167,12 +167,12 @@ def pairs_table(report: ReportData) -> Iterator[Table]:
         [
             cell_column("A", "a", "a_label"),
             cell_column("B", "b", "b_label"),
-            interval_column("A − B (points)", "difference", formats.difference_interval),  # noqa: RUF001
-            Column("p (Bonferroni)", "p_corrected", formats.probability),
+            interval_column("A − B (points)", "difference", formats.points_interval),  # noqa: RUF001
+            Column("p (Bonferroni)", "p_corrected", formats.p_value),
             Column(
                 "p, ranks (Bonferroni)",
                 "rank_p",
-                formats.probability,
+                formats.p_value,
                 note="Mann and Whitney's test of the ranks of seeds, a second opinion",
             ),
             text_column(
@@ -202,8 +202,8 @@ def factors_table(report: ReportData) -> Iterator[Table]:
             text_column("Factor", "name"),
             text_column("Highest", "highest", display_setting),
             text_column("Lowest", "lowest", display_setting),
-            interval_column("Highest − lowest (points)", "largest", formats.difference_interval),  # noqa: RUF001
-            Column("p (Bonferroni)", "p", formats.probability),
+            interval_column("Highest − lowest (points)", "largest", formats.points_interval),  # noqa: RUF001
+            Column("p (Bonferroni)", "p", formats.p_value),
         ],
         "Factors: the levels with the highest and the lowest mean over the other factors, and "
         "their difference in percentage points, with 95 % intervals."
