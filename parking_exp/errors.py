@@ -31,7 +31,9 @@ class UntrustedError(ParkingError):
 
 
 class ModelError(ParkingError):
-    """A model file that is damaged or does not fit, or a class whose files lack some weights."""
+    """A file of a model, a replay buffer or demonstrations that is damaged or does not fit, or a
+    model that can't do what is asked.
+    """
 
 
 class OutputDirectoryError(ParkingError):

@@ -168,7 +168,7 @@ class HerBuffer(DictReplayBuffer):
         return _joined(own, demonstrated)
 
     def _sample(self, batch_size: int) -> DictReplayBufferSamples:
-        """Sample a minibatch of the episodes of the envs."""
+        """Sample a minibatch of this buffer's own transitions, without its demonstrations."""
         if self.goal_selection_strategy is None:
             index = self.episodes.sample_stored(self.rng, batch_size)
         else:

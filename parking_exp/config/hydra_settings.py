@@ -7,8 +7,9 @@ from omegaconf import DictConfig, OmegaConf
 from parking_exp.config.settings import settings_of
 from parking_exp.errors import ConfigError
 
-# Prefixes of keys that Hydra itself sets, or that have no effect on files and runs.
-READ: tuple[str, ...] = (
+# Prefixes of keys that are not refused: Hydra itself sets them, or they change neither files nor
+# runs.
+ACCEPTED: tuple[str, ...] = (
     "help.",
     "job.config_name",
     "job.override_dirname",
@@ -40,10 +41,10 @@ def check_hydra_settings(composed: DictConfig, ours: DictConfig, *, launches_run
     Raises:
         ConfigError: with what to type instead.
     """
-    read = (*READ, "launcher.") if launches_runs else READ
+    accepted = (*ACCEPTED, "launcher.") if launches_runs else ACCEPTED
     default = _settings(ours)
     for key, value in _settings(composed).items():
-        if value == default.get(key) or key.startswith(read):
+        if value == default.get(key) or key.startswith(accepted):
             continue
         raise ConfigError(f"hydra.{key}={value} has no effect; {what_instead(key)}")
 

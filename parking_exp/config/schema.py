@@ -296,11 +296,10 @@ class RunConfig(OutputConfig):
 
     @property
     def n_cross_checked(self) -> int:
-        """Number of final episodes that are repeated on the task's reference simulator; all if the
-        run trains on it.
+        """Number of final episodes that are cross-checked on the task's reference simulator.
 
-        A task with one simulator has none to compare it with. 0 of the others: there is no
-        cross-check.
+        All if the run trains on the reference, and none if the task has one simulator only. 0 in
+        the config: there is no cross-check.
         """
         simulators = self.env.simulators
         if len(simulators) == 1:

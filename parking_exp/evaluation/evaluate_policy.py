@@ -23,9 +23,9 @@ def evaluate_policy(
     policy: Policy,
     task: Task,
     seeds: Sequence[int],
-    on_step: Callable[[int], None] | None = None,
+    on_progress: Callable[[int], None] | None = None,
     simulator: str | None = None,
-    paths: PathRecorder | None = None,
+    path_recorder: PathRecorder | None = None,
 ) -> pd.DataFrame:
     """Run one episode from each seed and return one row per episode, in the order of `seeds`.
 
@@ -36,10 +36,10 @@ def evaluate_policy(
         policy: the policy that is evaluated.
         task: the task on which it is evaluated.
         seeds: seeds of `env.reset`, each at most once.
-        on_step: called after each step of a batch, and while a scripted policy prepares for one,
-            with the number of finished episodes; may raise to stop.
+        on_progress: called after each step of a batch, and while a scripted policy prepares for
+            one, with the number of finished episodes; may raise to stop.
         simulator: one of the config's `simulators`; None: its `simulator`.
-        paths: records where the episodes are at each step.
+        path_recorder: records where the episodes are at each step.
 
     Raises:
         DivergenceError: an observation or a reward is not finite.
@@ -47,7 +47,7 @@ def evaluate_policy(
     rows: dict[int, dict[str, Any]] = {}
     for batch_seeds in seed_batches(seeds, task, policy):
         batch = task.evaluation_batch(batch_seeds, simulator)
-        _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_step, paths)
+        _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_progress, path_recorder)
 
     in_order = [rows[seed] for seed in seeds]
     return pd.DataFrame(in_order, columns=episode_columns(task.metrics))
@@ -76,7 +76,7 @@ def summarise(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, float]:
     return {key: mean for key, mean in means.items() if not math.isnan(mean)}
 
 
-def rank(summary: dict[str, float], task: Task) -> list[float]:
+def rank_evaluation(summary: dict[str, float], task: Task) -> list[float]:
     """Return the sort key of an evaluation, which is larger for a better one.
 
     It compares the success rate, then failures, then steps.
@@ -84,7 +84,7 @@ def rank(summary: dict[str, float], task: Task) -> list[float]:
     return [summary["success_rate"], -summary[f"{task.failure}_rate"], -summary["steps_mean"]]
 
 
-def intervals(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, tuple[float, float]]:
+def rate_intervals(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, tuple[float, float]]:
     """Return the Wilson 95 % interval of each rate, e.g. of success_rate."""
     bounds = {}
     for rate in _rates(metrics):
@@ -93,10 +93,10 @@ def intervals(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, tuple[float
     return bounds
 
 
-def describe(episodes: pd.DataFrame, metrics: Metrics) -> list[str]:
+def describe_episodes(episodes: pd.DataFrame, metrics: Metrics) -> list[str]:
     """Return lines of text: each rate with its interval, then the means of the other metrics."""
     summary = summarise(episodes, metrics)
-    bounds = intervals(episodes, metrics)
+    bounds = rate_intervals(episodes, metrics)
     lines = []
     means = []
     for metric in metrics:
@@ -132,20 +132,20 @@ def _run_batch(
     batch: EvaluationBatch,
     seeds: np.ndarray,
     rows: dict[int, dict[str, Any]],
-    on_step: Callable[[int], None] | None,
-    paths: PathRecorder | None,
+    on_progress: Callable[[int], None] | None,
+    path_recorder: PathRecorder | None,
 ) -> None:
     """Step a batch until all episodes have ended, and add the row of each to `rows` by its seed."""
     returns = np.zeros(len(seeds))
-    if paths is not None:
-        paths.record(batch.observe(), seeds, 0)
-    on_progress = None if on_step is None else partial(on_step, len(rows))
-    batch_steps = rollout(policy, batch, seeds.tolist(), on_progress)
+    if path_recorder is not None:
+        path_recorder.record(batch.observe(), seeds, 0)
+    while_preparing = None if on_progress is None else partial(on_progress, len(rows))
+    batch_steps = rollout(policy, batch, seeds.tolist(), while_preparing)
     for steps, (episodes, _, step) in enumerate(batch_steps, start=1):
         check_finite({**step.observation, "reward": step.reward}, f"in step {steps} of an episode")
         returns[episodes] += step.reward
-        if paths is not None:
-            paths.record(step.observation, seeds[episodes], steps)
+        if path_recorder is not None:
+            path_recorder.record(step.observation, seeds[episodes], steps)
 
         for index in np.flatnonzero(step.terminated | step.truncated).tolist():
             number = episodes[index]
@@ -158,8 +158,8 @@ def _run_batch(
             values = {metric.name: metric.of(episode) for metric in task.metrics}
             rows[seed] = {EPISODE_SEED: seed, "outcome": ending, **values}
 
-        if on_step is not None:
-            on_step(len(rows))
+        if on_progress is not None:
+            on_progress(len(rows))
 
 
 def _is_same(value: Any, other: Any) -> bool:

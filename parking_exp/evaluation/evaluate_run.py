@@ -180,9 +180,9 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     """Evaluate an agent, print and write the results, and return the rates and means."""
     from parking_exp.algorithms.build_model import torch_settings
     from parking_exp.evaluation.evaluate_policy import (
-        describe,
+        describe_episodes,
         evaluate_policy,
-        intervals,
+        rate_intervals,
         summarise,
     )
     from parking_exp.evaluation.evaluation_progress import evaluation_progress
@@ -201,7 +201,7 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
             episodes = evaluate_policy(policy, task, request.seeds, show)
         _clear_folder(folder)
         episodes.to_csv(folder / EPISODES_FILE, index=False)
-        say(_headline(evaluation), *describe(episodes, task.metrics))
+        say(_headline(evaluation), *describe_episodes(episodes, task.metrics))
         if request.video:
             _write_video(policy, task, request, folder)
         if request.replay:
@@ -209,7 +209,7 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
                 _write_replay(policy, task, evaluation)
 
     summary = summarise(episodes, task.metrics)
-    _write_summary(evaluation, summary, intervals(episodes, task.metrics))
+    _write_summary(evaluation, summary, rate_intervals(episodes, task.metrics))
     return summary
 
 

@@ -152,9 +152,9 @@ def _split_contrasts(
 
 def _warn_of_untested(untested: Sequence[str], n_tested: int) -> str:
     return (
-        f"{len(untested)} of {n_tested + len(untested)} contrasts lack a selected cell with "
-        "finished runs, and p is corrected for the others only: "
-        f"{list_names(untested)}."
+        f"{len(untested)} of {n_tested + len(untested)} contrasts are not tested, since one of "
+        f"their cells is not selected or has no finished run: {list_names(untested)}. p is "
+        "corrected for the other contrasts only."
     )
 
 
@@ -196,5 +196,6 @@ def _write_notes(report: ReportData) -> Iterator[str]:
     outside = [cell.label for cell in cells if None in cell.settings.values()]
     if report.effects and outside:
         yield (
-            f"Not part of the main effects, without a value of every factor: {list_names(outside)}."
+            "Left out of the main effects, since they lack a value of some factor: "
+            f"{list_names(outside)}."
         )

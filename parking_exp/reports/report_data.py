@@ -196,7 +196,7 @@ class ReportData:
     @property
     def effects_by_size(self) -> list[MainEffect]:
         """The effect of each factor, the largest first."""
-        return sorted(self.effects, key=lambda effect: effect.size, reverse=True)
+        return sorted(self.effects, key=lambda effect: effect.largest.value or 0.0, reverse=True)
 
     @property
     def drawn_pairs(self) -> Sequence[Pair]:

@@ -71,12 +71,12 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
         # Some results have rates and nothing else, and some cells no evaluations on the way.
         if without_outcomes and evaluations.final:
             yield (
-                f"{label}: some outcomes or all are missing for {_list_seeds(without_outcomes)}. "
+                f"{label}: some or all outcomes are missing for {_list_seeds(without_outcomes)}. "
                 "Tables and figures of outcomes leave these runs out."
             )
         if without_curves and has_curves:
             yield (
-                f"{label}: some evaluations during training or all are missing for "
+                f"{label}: some or all evaluations during training are missing for "
                 f"{_list_seeds(without_curves)}. AUC and times are of the other seeds."
             )
 

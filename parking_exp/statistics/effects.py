@@ -47,11 +47,6 @@ class MainEffect:
     largest: Difference
     p: float | None
 
-    @property
-    def size(self) -> float:
-        """The difference between its highest and its lowest mean."""
-        return self.highest.mean - self.lowest.mean
-
 
 def main_effects(
     factors: Sequence[str], cells: Sequence[tuple[Sequence[Any], SeedRates]]

@@ -1,4 +1,4 @@
-"""Worker processes: forks of `fork_server`, with torch imported, or fresh where forks are unsafe."""
+"""Worker processes: forks of `fork_server`, which has torch, or fresh where forks are unsafe."""
 
 import multiprocessing
 import os

@@ -137,11 +137,11 @@ def _record_episodes(
     all_seeds = config.env.training_seeds[-config.buffer.demonstrations :]
     for first in range(0, len(all_seeds), BATCH):
         seeds = all_seeds[first : first + BATCH]
-        on_step = partial(on_progress, first)
-        policy.start(seeds, on_step)
+        on_batch_progress = partial(on_progress, first)
+        policy.start(seeds, on_batch_progress)
         envs = task.training_envs(len(seeds))
         envs.seed(seeds.start)
-        for episode in _drive(policy, envs, on_step):
+        for episode in _drive(policy, envs, on_batch_progress):
             for obs, next_obs, action, reward, done, infos in episode:
                 scaled = model.policy.scale_action(action)
                 buffer.add(obs, next_obs, scaled, reward, done, infos)
@@ -152,7 +152,7 @@ def _record_episodes(
 
 
 def _drive(
-    policy: ScriptedPolicy, envs: VecEnv, on_step: Callable[[], None]
+    policy: ScriptedPolicy, envs: VecEnv, on_progress: Callable[[], None]
 ) -> list[list[Transition]]:
     """Return the first episode of each env."""
     episodes: list[list[Transition]] = [[] for _ in range(envs.num_envs)]
@@ -175,7 +175,7 @@ def _drive(
         policy.keep(~dones[under_way])
         under_way = under_way[~dones[under_way]]
         observation = following
-        on_step()
+        on_progress()
     return episodes
 
 

@@ -100,23 +100,25 @@ class RunSession(ABC):
         self,
         seeds: Sequence[int],
         simulator: str | None = None,
-        paths: PathRecorder | None = None,
+        path_recorder: PathRecorder | None = None,
     ) -> pd.DataFrame:
         """Return the policy's episodes, or raise when a signal asks to stop."""
         try:
-            on_step = self.progress_of(len(seeds))
-            return evaluate_policy(self.policy, self.task, seeds, on_step, simulator, paths)
+            on_progress = self.progress_callback(len(seeds))
+            return evaluate_policy(
+                self.policy, self.task, seeds, on_progress, simulator, path_recorder
+            )
         except DivergenceError as error:
             raise DivergenceError(f"evaluation at step {self.step}: {error}") from error
 
-    def progress_of(self, n_episodes: int) -> Callable[[int], None]:
+    def progress_callback(self, n_episodes: int) -> Callable[[int], None]:
         """Return a function that shows how many episodes are done, and raises on a stop signal."""
 
-        def on_step(n_finished: int) -> None:
+        def on_progress(n_finished: int) -> None:
             self.stop_if_asked()
             self.bar.show_episodes(n_finished, n_episodes)
 
-        return on_step
+        return on_progress
 
     def stop_if_asked(self) -> None:
         """Raise InterruptedRunError if a signal has asked to stop."""

@@ -9,7 +9,7 @@ import torch
 from parking_exp.algorithms.build_model import torch_settings
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
-from parking_exp.evaluation.evaluate_policy import describe
+from parking_exp.evaluation.evaluate_policy import describe_episodes
 from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
@@ -17,7 +17,7 @@ from parking_exp.runs.run_files import TRACEBACK_FILE
 from parking_exp.runs.run_provenance import record_provenance
 from parking_exp.runs.trained_here import record_training
 from parking_exp.training import checkpoints
-from parking_exp.training.finish import finish
+from parking_exp.training.final_evaluation import evaluate_final
 from parking_exp.training.run_session import RunSession
 from parking_exp.training.scripted_session import ScriptedSession
 from parking_exp.training.signals import StopRequest
@@ -95,13 +95,13 @@ def _train_and_evaluate(
         try:
             session.learn()
             with session.evaluated_policy():
-                episodes = finish(session)
+                episodes = evaluate_final(session)
         except InterruptedRunError:
             session.save_checkpoint()
             raise
 
     metrics = session.metrics_log.latest()
-    description = describe(episodes, session.task.metrics)
+    description = describe_episodes(episodes, session.task.metrics)
     directory.finish(
         RunResult(str(directory.path), directory.run_id, session.step, metrics),
         success_rate=metrics.get("final/success_rate"),

@@ -18,7 +18,7 @@ from parking_exp.algorithms.normalization import UpdateNormalizer
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
-from parking_exp.evaluation.evaluate_policy import describe_rates, rank
+from parking_exp.evaluation.evaluate_policy import describe_rates, rank_evaluation
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import MONITOR_FILE
 from parking_exp.tasks.finite import check_finite
@@ -99,7 +99,7 @@ class TrainingSession(RunSession):
         before_s = time.process_time()
         n_episodes = self.config.buffer.demonstrations
         stats = demonstrations.add_demonstrations(
-            self.config, self.model, self.progress_of(n_episodes)
+            self.config, self.model, self.progress_callback(n_episodes)
         )
         self._cpu_start += time.process_time() - before_s - stats.cpu_s
         self.bar.say(f"demonstrations: {stats.n_successes} of {n_episodes} reach the goal")
@@ -160,7 +160,7 @@ class TrainingSession(RunSession):
         summary = super().record_evaluation(episodes, phase)
         if phase == "eval":
             self.progress.evaluated = self.step
-            self._keep_if_best(rank(summary, self.task))
+            self._keep_if_best(rank_evaluation(summary, self.task))
         return summary
 
     def _keep_if_best(self, new_rank: list[float]) -> None:

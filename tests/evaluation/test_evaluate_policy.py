@@ -11,10 +11,10 @@ from parking_exp import load_model
 from parking_exp.algorithms.build_model import GreedyPolicy
 from parking_exp.config.compose import compose
 from parking_exp.evaluation.evaluate_policy import (
-    describe,
+    describe_episodes,
     evaluate_policy,
     find_differences,
-    rank,
+    rank_evaluation,
     summarise,
 )
 from parking_exp.tasks.metrics import episode_columns, outcome
@@ -172,7 +172,7 @@ def test_a_table_is_summarised_as_rates_with_intervals_and_means():
         "gear_changes_mean": 1.0,
         "plan_s_mean": 0.5,
     }
-    lines = describe(EPISODES, METRICS)
+    lines = describe_episodes(EPISODES, METRICS)
     assert lines[0] == "success   50.0%   95 % interval 15.0% to 85.0%   2 of 4"
     assert lines[3].startswith("parked    25.0%   95 % interval 4.6% to 69.9%   1 of 4")
     assert "return -27.8, distance at the end 4.12 m" in lines[4]
@@ -183,7 +183,7 @@ def test_a_metric_that_no_episode_has_is_left_out():
     summary = summarise(failures, METRICS)
     assert "park_s_mean" not in summary
     assert summary["path_m_mean"] == 10.0
-    assert "time to success" not in describe(failures, METRICS)[-1]
+    assert "time to success" not in describe_episodes(failures, METRICS)[-1]
 
 
 def test_the_best_is_chosen_by_success_then_crashes_then_steps():
@@ -196,7 +196,9 @@ def test_the_best_is_chosen_by_success_then_crashes_then_steps():
         summary(0.9, 0.05, 500),
         summary(0.8, 0.0, 10),
     ]
-    order = sorted(best_first, key=lambda summary: rank(summary, ParkingTask), reverse=True)
+    order = sorted(
+        best_first, key=lambda summary: rank_evaluation(summary, ParkingTask), reverse=True
+    )
     assert order == [best_first[2], best_first[0], best_first[1], best_first[3]]
 
 

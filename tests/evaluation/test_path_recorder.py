@@ -18,12 +18,14 @@ turn = constant(1.0, 0.3)
 def test_a_path_has_the_pose_at_the_start_and_after_each_step_until_the_crash(simulator):
     env_config = compose("env.duration=10").env
     task = make_task(env_config)
-    paths = PathRecorder(task, [7, 2])
-    episodes = evaluate_policy(turn, task, [1, 2, 3, 7], simulator=simulator, paths=paths)
+    path_recorder = PathRecorder(task, [7, 2])
+    episodes = evaluate_policy(
+        turn, task, [1, 2, 3, 7], simulator=simulator, path_recorder=path_recorder
+    )
     task.close()
 
     assert set(episodes["outcome"]) == {"crash"}
-    table = paths.table()
+    table = path_recorder.table()
     assert list(table) == ["scene", "step", "x_m", "y_m", "heading_rad"]
     assert table["scene"].unique().tolist() == [2, 7]
     for episode in record_episodes(turn, env_config, [2, 7]):
@@ -37,7 +39,7 @@ def test_a_path_has_the_pose_at_the_start_and_after_each_step_until_the_crash(si
 
 def test_a_task_without_positions_has_no_paths(tmp_path):
     task = Steps()
-    paths = PathRecorder(task, [0])
-    evaluate_policy(constant(1.0), task, [0], paths=paths)
-    paths.write(tmp_path / "paths")
+    path_recorder = PathRecorder(task, [0])
+    evaluate_policy(constant(1.0), task, [0], path_recorder=path_recorder)
+    path_recorder.write(tmp_path / "paths")
     assert not (tmp_path / "paths").exists()

@@ -93,8 +93,8 @@ def test_claims_have_the_better_cell_the_difference_and_its_p_value(two):
     best, difference = two.claims
     assert best.startswith("sac has the highest final success: 92.0 % [")
     assert difference == "sac is better than td3 (+52.0 points [+23.3, +72.3], p = 0.008)."
-    few = "Exploratory: fewer than 10 finished seeds in 2 of 2 cells (the fewest: 5), "
-    assert f"{few}whose intervals are compatibility intervals." in two.warnings
+    few = "Exploratory: 2 of 2 cells have fewer than 10 finished seeds (the fewest: 5)."
+    assert f"{few} Their intervals are compatibility intervals." in two.warnings
 
 
 def test_ranks_are_a_second_opinion():
@@ -293,7 +293,7 @@ def test_a_her_ablation_has_main_effects_without_its_control():
     )
     assert (buffers, goals) == ({"her_future": 0.6, "her_final": 0.4}, {1: 0.3, 4: 0.7})
     assert report.notes == [
-        "Not part of the main effects, without a value of every factor: replay."
+        "Left out of the main effects, since they lack a value of some factor: replay."
     ]
     assert report.claims[0].startswith("n_sampled_goal: ") and "+40.0 points" in report.claims[0]
 
@@ -469,8 +469,11 @@ def test_a_contrast_that_is_left_out_is_warned_of():
     report = content(cells, [0], rising, cells=["gamma=0.5,0.53"])
     assert compared(report) == [("5", "53")]
     (warning,) = (warning for warning in report.warnings if "contrast" in warning)
-    assert warning.startswith("2 of 3 contrasts lack a selected cell with finished runs")
-    assert warning.endswith(": gamma=0.5 minus gamma=0.9 and gamma=0.5 minus gamma=0.51.")
+    assert warning == (
+        "2 of 3 contrasts are not tested, since one of their cells is not selected or has no "
+        "finished run: gamma=0.5 minus gamma=0.9 and gamma=0.5 minus gamma=0.51. p is corrected "
+        "for the other contrasts only."
+    )
     looks = {"1": Run(status="failed")}
     unfinished = content(cells, [0], lambda label, seed: looks.get(label, rising(label, seed)))
     assert [text for text in unfinished.warnings if "contrast" in text] == [warning]

@@ -41,7 +41,7 @@ def test_outcomes_that_are_missing_of_some_runs_are_named():
     frames = of_seeds(Run(), Run(), Run(), Run())
     is_kept = ~frames.episodes["run_id"].isin(["one-sac-1", "one-sac-3"])
     expected = (
-        f"{LABEL}: some outcomes or all are missing for seeds 1, 3. "
+        f"{LABEL}: some or all outcomes are missing for seeds 1, 3. "
         "Tables and figures of outcomes leave these runs out."
     )
     assert warnings_of(replace(frames, episodes=frames.episodes[is_kept])) == [expected]
@@ -60,7 +60,7 @@ def test_outcomes_that_are_missing_of_some_runs_are_named():
 @pytest.mark.parametrize("curve", [(), (0.2, np.nan, 0.6, 0.8)])
 def test_curves_that_are_missing_or_have_gaps_are_named(curve):
     expected = (
-        f"{LABEL}: some evaluations during training or all are missing for seed 0. "
+        f"{LABEL}: some or all evaluations during training are missing for seed 0. "
         "AUC and times are of the other seeds."
     )
     if curve:

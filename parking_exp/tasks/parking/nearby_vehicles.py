@@ -46,10 +46,10 @@ def nearest_vehicles(
 
 
 class NearbyVehicles(SensorWrapper):
-    """Append the nearest vehicles and obstacles to `observation` of parking-v0, but not to goals.
+    """Append the nearest vehicles and obstacles to `observation` of a parking env of highway-env.
 
     The observation gets 5 entries more for each vehicle, see `ENTRIES`; x and y are in 100 m,
-    whatever the scales are.
+    whatever the scales are. Goals stay as they are.
 
     Args:
         env: highway-env's parking-v0 with the observation type KinematicsGoal, for example

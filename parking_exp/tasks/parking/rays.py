@@ -53,10 +53,10 @@ def ray_distances(
 
 
 class Rays(SensorWrapper):
-    """Append distances along rays to `observation` of parking-v0; goals stay as they are.
+    """Append distances along rays to `observation` of a parking env of highway-env.
 
     They are the distances from the car's centre to the nearest vehicle, wall or obstacle, as
-    fractions of the range: 1 where there is none; see `ray_distances`.
+    fractions of the range: 1 where there is none; see `ray_distances`. Goals stay as they are.
 
     Args:
         env: highway-env's parking-v0 with the observation type KinematicsGoal, for example

@@ -8,10 +8,11 @@ from gymnasium import spaces
 
 
 class SensorWrapper(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
-    """Base of wrappers that append the measurements of a sensor to `observation` of parking-v0.
+    """Base of wrappers that append a sensor's measurements to `observation` of a parking env of
+    highway-env.
 
     Args:
-        env: highway-env's parking-v0 with the observation type KinematicsGoal.
+        env: a parking env with the observation type KinematicsGoal, such as parking-v0.
         size: number of measurements that are appended.
     """
 

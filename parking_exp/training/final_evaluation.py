@@ -18,8 +18,9 @@ N_PATHS = 50
 """Final episodes whose paths are kept, the first ones: as many as a figure can show."""
 
 
-def finish(session: RunSession) -> pd.DataFrame:
-    """Evaluate the final policy, write the last files, and return the final episodes.
+def evaluate_final(session: RunSession) -> pd.DataFrame:
+    """Evaluate and cross-check the final policy, write the last files, and return the final
+    episodes.
 
     Raises:
         CrossCheckError: an episode differs between two simulators of the task; all files are
@@ -34,11 +35,11 @@ def finish(session: RunSession) -> pd.DataFrame:
     # batch.
     all_seeds = settings.seeds(settings.final_n_scenes)
     others = [seed for seed in all_seeds if seed not in cross_checked]
-    paths = PathRecorder(session.task, all_seeds[:N_PATHS])
+    path_recorder = PathRecorder(session.task, all_seeds[:N_PATHS])
     parts = []
     for seeds in (cross_checked, others):
         if seeds:
-            parts.append(session.run_episodes(seeds, paths=paths))
+            parts.append(session.run_episodes(seeds, path_recorder=path_recorder))
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
 
     summary = session.record_evaluation(episodes.head(settings.n_scenes), "eval")
@@ -49,7 +50,7 @@ def finish(session: RunSession) -> pd.DataFrame:
 
     directory = session.directory
     session.save_final(directory.models / "final.zip")
-    paths.write(directory.path / PATHS_FILE)
+    path_recorder.write(directory.path / PATHS_FILE)
     title = f"{config.experiment_name}: {directory.path.parent.name}"
     plot_learning_curves(session.metrics_log.frame(), metrics, title, directory.path / "curves.png")
     if settings.video_episodes:
