@@ -1,12 +1,11 @@
 """`scripts/train.py` and `parking-train`: train one run in this process, or a sweep."""
 
-import gc
-
 from parking_exp.cli.command import run_command
 from parking_exp.config.compose import compose_runs
 from parking_exp.config.rules import update_ratio_warning
 from parking_exp.config.schema import SweepOptions
 from parking_exp.config.validate import parse_config
+from parking_exp.resources import no_garbage_collection
 from parking_exp.terminal import say
 
 
@@ -17,31 +16,31 @@ def main() -> None:
 
 def train(overrides: list[str], extra_config_dir: str | None) -> None:
     """Train a single run in this process, several as a sweep."""
-    gc.disable()  # imports torch 0.8 s faster
-    from parking_exp.sweeps.launchers import launcher_of
-    from parking_exp.sweeps.sweep import plan, sweep
+    with no_garbage_collection(freeze=True):
+        from parking_exp.sweeps.launchers import launcher_of
+        from parking_exp.sweeps.sweep import plan, sweep
 
-    runs = compose_runs("config", overrides, extra_config_dir)
-    first = runs[0].cell_config  # all runs have the same keys of the sweep
-    options = parse_config(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
-    planned = plan(runs, options.retry)
-    for warning in dict.fromkeys(update_ratio_warning(run.config) for run in planned):
-        if warning is not None:
-            say(f"warning: {warning}", stderr=True)
-    names_launcher = any(
-        override.lstrip("+~").startswith("hydra/launcher") for override in overrides
-    )
-    # These need a supervisor, so that even a single run becomes a sweep.
-    is_elsewhere = names_launcher or runs[0].launcher != "local"
-    supervised = is_elsewhere or options.dry_run or options.retry or planned[0].config.timeout_s
-    if len(planned) > 1 or supervised:
-        gc.enable()
+        runs = compose_runs("config", overrides, extra_config_dir)
+        first = runs[0].cell_config  # all runs have the same keys of the sweep
+        sweep_keys = {name: first[name] for name in SweepOptions.model_fields}
+        options = parse_config(SweepOptions, sweep_keys)
+        planned = plan(runs, options.retry)
+        for warning in dict.fromkeys(update_ratio_warning(run.config) for run in planned):
+            if warning is not None:
+                say(f"warning: {warning}", stderr=True)
+        names_launcher = any(
+            override.lstrip("+~").startswith("hydra/launcher") for override in overrides
+        )
+        # These need a supervisor, so that even a single run becomes a sweep.
+        is_elsewhere = names_launcher or runs[0].launcher != "local"
+        supervised = is_elsewhere or options.dry_run or options.retry or planned[0].config.timeout_s
+        is_sweep = len(planned) > 1 or bool(supervised)
+        if not is_sweep:
+            from parking_exp.sweeps import single_run
+
+    if is_sweep:
         is_due = any(run.is_due for run in planned)
         launcher = launcher_of(runs, extra_config_dir, connect=is_due and not options.dry_run)
         sweep(planned, launcher, dry_run=options.dry_run)
     else:
-        from parking_exp.sweeps import single_run
-
-        gc.freeze()
-        gc.enable()
         single_run.train(planned[0].config)

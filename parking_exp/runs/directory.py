@@ -47,6 +47,7 @@ from parking_exp.terminal import command_of
 SUPERVISOR_LOCK = ".claim"
 TRAINING_LOCK = ".lock"
 STATUS_LOCK = ".status.lock"
+SYNC_LOCK = ".sync.lock"
 LOCK_PATIENCE_S = 2.0  # another process takes a lock for a moment to see whether it is held
 WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon after it
 # Space that a run keeps while it trains, so that its end can be written on a disk that is full by

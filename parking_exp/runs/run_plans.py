@@ -10,6 +10,7 @@ from parking_exp.runs.directory import (
     RESERVE,
     STATUS_LOCK,
     SUPERVISOR_LOCK,
+    SYNC_LOCK,
     TRAINING_LOCK,
     RunDirectory,
 )
@@ -20,7 +21,7 @@ PLAN_FILES = {
     CONFIG_FILE,
     STATUS_FILE,
     STATUS_LOCK,
-    ".sync.lock",
+    SYNC_LOCK,
     SUPERVISOR_LOCK,
     TRAINING_LOCK,
     RESERVE,

@@ -1,7 +1,6 @@
 """The work of a worker process, which trains one run and dies with its supervisor."""
 
 import faulthandler
-import gc
 import multiprocessing
 import os
 import signal
@@ -12,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError, RunLockedError
+from parking_exp.resources import no_garbage_collection
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.terminal import say, unfailing_output
 from parking_exp.training.signals import stop_on_signal
@@ -47,17 +47,13 @@ def _train(directory: RunDirectory, n_threads: int) -> int:
     """Train a run, and return the exit status of its process."""
     try:
         config = directory.config()
-        gc.disable()  # imports are 0.8 s faster without it
-        import torch  # for which cores and environment are settled now
+        with no_garbage_collection(freeze=True):
+            import torch  # for which cores and environment are settled now
 
-        from parking_exp.training.train_run import check_device, train_run
-
-        gc.freeze()
-        gc.enable()
+            from parking_exp.training.train_run import check_device, train_run
         if n_threads:
-            torch.set_num_threads(
-                n_threads
-            )  # a forked process has read the fork server's environment
+            # A forked process has read the fork server's environment.
+            torch.set_num_threads(n_threads)
         # Slurm signals every process of a job, and the supervisor passes its own signal on: the
         # checkpoint comes first.
         with unfailing_output(), directory.training_lock(), stop_on_signal(None) as stop:

@@ -8,10 +8,9 @@ import numpy as np
 from gymnasium import spaces
 
 from parking_exp.errors import ConfigError, class_and_message
-from parking_exp.tasks.gymnasium_config import GymnasiumConfig
+from parking_exp.tasks.gymnasium_config import SUCCESS_KEYS, GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import (
     RANDOM_STEPS,
-    SUCCESS_KEYS,
     GymnasiumReward,
     make_gymnasium_env,
     random_steps,

@@ -9,6 +9,8 @@ from parking_exp.config_model import MAX_ENVS, Count
 from parking_exp.tasks.task_config import TaskConfig
 
 ENV_ID_PATTERN = r"^([A-Za-z_][\w.]*:)?([\w-]+/)?[\w.-]+$"
+SUCCESS_KEYS = ("is_success", "success")
+"""Entries of `info` that tell of success, if the config names none."""
 
 
 class GymnasiumConfig(TaskConfig):
@@ -34,7 +36,7 @@ class GymnasiumConfig(TaskConfig):
 
     def problems(self) -> Iterator[str]:
         """Yield a sentence for a success that would also count as a failure, and for a window."""
-        success_keys = (self.success_key,) if self.success_key else ("is_success", "success")
+        success_keys = (self.success_key,) if self.success_key else SUCCESS_KEYS
         if self.failure_key in success_keys:
             yield (
                 f"env.failure_key={self.failure_key} tells of success; name the entry that tells "

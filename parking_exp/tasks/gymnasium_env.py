@@ -15,7 +15,7 @@ import numpy as np
 
 from parking_exp.errors import ConfigError, class_and_message
 from parking_exp.phrases import suggestion
-from parking_exp.tasks.gymnasium_config import GymnasiumConfig
+from parking_exp.tasks.gymnasium_config import SUCCESS_KEYS, GymnasiumConfig
 from parking_exp.tasks.task import GoalReward
 
 # How ids of gymnasium-robotics begin.
@@ -27,7 +27,6 @@ ROBOTICS = (
     "FrankaKitchen",
     "Adroit",
 )
-SUCCESS_KEYS = ("is_success", "success")
 RANDOM_STEPS = 60  # at least; see `random_steps`
 MAX_RANDOM_STEPS = 1_000
 NUMBERS = (bool, int, float, np.number, np.bool_)

@@ -6,11 +6,9 @@ the database. Its journal stays sqlite's own rollback journal: a write-ahead log
 between processes, which network file systems lack. Readers (`mlflow ui`) need no lock.
 """
 
-import gc
 import logging
 import os
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock
 
 from parking_exp.config.paths import SQLITE, database_file
+from parking_exp.resources import no_garbage_collection
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
@@ -83,19 +82,7 @@ def connect(uri: str) -> "MlflowClient":
             with write_lock(uri):
                 if not path.exists():
                     _make_database(path)
-        return open_client(uri)
-
-
-@contextmanager
-def no_garbage_collection() -> Iterator[None]:
-    """Pause garbage collection: it takes a quarter of the time of MLflow's imports and writes."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
+        return _open_client(uri)
 
 
 def write_lock(uri: str) -> AbstractContextManager[Any]:
@@ -131,8 +118,8 @@ def _make_database(path: Path) -> None:
             file.unlink(missing_ok=True)
 
 
-def open_client(uri: str) -> "MlflowClient":
-    """Return a client of a store that has answered."""
+def _open_client(uri: str) -> "MlflowClient":
+    """Return a client of a store that exists, once it has answered."""
     from mlflow import MlflowClient
     from sqlalchemy import create_engine, inspect
 

@@ -15,10 +15,11 @@ from rich.progress import track
 from parking_exp.config.paths import ARTIFACTS, SQLITE
 from parking_exp.errors import StoreError, reason_of_failure
 from parking_exp.phrases import plural
+from parking_exp.resources import no_garbage_collection
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import make_console, say
-from parking_exp.tracking.client import lock_path, no_garbage_collection, write_lock
+from parking_exp.tracking.client import lock_path, write_lock
 from parking_exp.tracking.store import EXPERIMENTS, OUTPUT_DIR_TAG, Store
 from parking_exp.tracking.write_run import write_new_run
 

@@ -12,7 +12,7 @@ from parking_exp.config.paths import default_uri, is_same_store, resolved
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError, reason_of_failure
 from parking_exp.phrases import plural
-from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.directory import SYNC_LOCK, RunDirectory
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import STATUS_FILE
 from parking_exp.terminal import command_of
@@ -36,7 +36,7 @@ WAIT_S = 120  # for another process that syncs the same run
 def sync_run(directory: RunDirectory, store: Store) -> None:
     """Make a store agree with a run directory; idempotent."""
     rebuild_if_unusable(store)
-    with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
+    with FileLock(directory.path / SYNC_LOCK, timeout=WAIT_S):
         write_run(directory, store)
 
 

@@ -60,7 +60,7 @@ class TrainingSession(RunSession):
         progress = SavedProgress(**saved)
         super().__init__(config, directory, trackers, progress, stop, resources)
         self._on_saved = on_saved
-        self._best = directory.models / "best.zip"
+        self._best = directory.models / checkpoints.BEST
 
         seeds = derive_seeds(config.seed, config.env.training_seeds)
         self.env = make_training_envs(
