@@ -95,13 +95,16 @@ def class_and_message(error: BaseException) -> str:
     return f"{type(error).__name__}: {one_line(error)}"
 
 
-def reason_of(problem: Mapping[str, Any]) -> str:
-    """Return the end of a sentence about an item of pydantic's `ValidationError.errors()`."""
+def reason_of_invalid_value(problem: Mapping[str, Any]) -> str:
+    """Return why a value is invalid, to end a sentence with.
+
+    `problem` is an item of pydantic's `ValidationError.errors()`.
+    """
     message = problem["msg"].removeprefix("Value error, ")
     return message[0].lower() + message[1:]
 
 
-def reason_of_failure(error: BaseException) -> str:
+def reason_of_store_failure(error: BaseException) -> str:
     """Return in one line why a store failed, in the words of the system or sqlite if possible."""
     reported = error
     seen = []

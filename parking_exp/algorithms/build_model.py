@@ -61,7 +61,7 @@ def build_model(
         **features,
         **_instantiate_classes(custom_policy_kwargs),
     }
-    arguments["train_freq"], arguments["gradient_steps"] = config.update_rounds()
+    arguments["train_freq"], arguments["gradient_steps"] = config.update_round()
     arguments |= _buffer(config, env) if for_training else PREDICTION_BUFFER
     _skip_compiler_import()
     try:

@@ -19,7 +19,7 @@ import hydra
 from omegaconf import OmegaConf
 
 from parking_exp.config.compose import VERSION_BASE, compose_configs, user_options
-from parking_exp.config.overrides import config_dir
+from parking_exp.config.overrides import conf_dir
 from parking_exp.errors import (
     DISK_ERRORS,
     ConfigError,
@@ -121,7 +121,7 @@ def _print_help(config_name: str, overrides: list[str]) -> None:
     """Print Hydra's help, with the names that commands and `conf/` have in this installation."""
     sys.argv[1:] = ["--help", *overrides]
     output = io.StringIO()
-    hydra_app = hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)
+    hydra_app = hydra.main(str(conf_dir()), config_name, VERSION_BASE)(lambda config: None)
     try:
         with redirect_stdout(output):
             hydra_app()  # it exits
@@ -129,7 +129,7 @@ def _print_help(config_name: str, overrides: list[str]) -> None:
         text = output.getvalue()
         if not is_script():
             text = re.sub(r"python scripts/(\w+)\.py", lambda match: command_of(match[1]), text)
-            text = re.sub(r"\bconf/", lambda _: f"{config_dir()}/", text)
+            text = re.sub(r"\bconf/", lambda _: f"{conf_dir()}/", text)
         sys.stdout.write(text)
         check_output()
 

@@ -19,7 +19,7 @@ from parking_exp.errors import ParkingError, RunNotFoundError, StoreError
 from parking_exp.phrases import plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.run_plans import delete_plan, never_began
+from parking_exp.runs.run_plans import delete_planned_run, never_began
 from parking_exp.runs.run_state import RunState, as_plain, in_plan_order, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import check_output, make_console, say
@@ -53,11 +53,11 @@ def show_status(overrides: list[str], extra_config_dir: str | None) -> None:
     """Print the progress of runs for each config of the overrides."""
     configs = compose_configs("status", overrides, extra_config_dir)
     for request in [parse_config(StatusRequest, config) for config in configs]:
-        show(request)
+        _answer(request)
 
 
-def show(request: StatusRequest) -> None:
-    """Print the progress of runs, repeatedly with `watch`."""
+def _answer(request: StatusRequest) -> None:
+    """Prune and sync as asked, then print the progress of runs, repeatedly with `watch`."""
     out = make_console()
     if request.prune:
         _prune(request)
@@ -102,7 +102,7 @@ def _prune(request: StatusRequest) -> None:
         directory = RunDirectory(path)
         if directory.is_locked or not never_began(directory):
             continue
-        if delete_plan(directory, before=partial(_delete_stored, directory, stores)):
+        if delete_planned_run(directory, before=partial(_delete_stored, directory, stores)):
             say(f"dropped  {path}", stderr=True)
 
 

@@ -28,14 +28,14 @@ from parking_exp.config.grid import MAX_RUNS, Block, Point, expand_points, read_
 from parking_exp.config.hydra_settings import check_hydra_settings, what_instead
 from parking_exp.config.overrides import (
     axes_of,
-    config_dir,
+    conf_dir,
     in_quotes,
     is_hydra_override,
     parse_overrides,
     to_hydra_syntax,
 )
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.settings import settings_of
+from parking_exp.config.settings import flatten_config
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, ParkingError, first_line, one_line
 from parking_exp.phrases import suggestion
@@ -295,7 +295,7 @@ def hydra_ready() -> Iterator[None]:
     GlobalHydra.instance().clear()
     try:
         with (
-            initialize_config_dir(str(config_dir()), "parking_exp", VERSION_BASE),
+            initialize_config_dir(str(conf_dir()), "parking_exp", VERSION_BASE),
             warnings.catch_warnings(),
         ):
             # Our preset `ray` has the name of the plugin's own config; validating it against that
@@ -340,7 +340,7 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
         return f"{key} has no effect; {what_instead(key.removeprefix('hydra.'))}"
     if not isinstance(known, dict):
         return f"{key}: {section} has no keys"
-    path = next((path for path in settings_of(known) if f".{name}." in f"{path}."), None)
+    path = next((path for path in flatten_config(known) if f".{name}." in f"{path}."), None)
     if path is not None:  # a section was left out
         hint = f"; did you mean {f'{section}.{path.partition(name)[0]}{name}'.lstrip('.')!r}?"
     elif "_target_" in known:
@@ -356,7 +356,7 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
 def _hint_at_options(group: str, name: str) -> str:
     """Name options of a group that have a key; empty if there are none."""
     options = []
-    for file in sorted((config_dir() / group).glob("*.yaml")):
+    for file in sorted((conf_dir() / group).glob("*.yaml")):
         keys = yaml.safe_load(file.read_text()) or {}
         if group and name in keys:
             options.append(file.stem)

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.dotted_paths import import_object
-from parking_exp.errors import ConfigError, reason_of
+from parking_exp.errors import ConfigError, reason_of_invalid_value
 from parking_exp.phrases import did_you_mean, suggestion
 
 SIMILAR = 0.8  # similarity from which on a name counts as misspelt
@@ -302,5 +302,5 @@ def _value_problems(key: str, value: Any, annotation: Any, limit: Any) -> Iterat
     try:
         TypeAdapter(limit, config=STRICT).validate_python(value)
     except ValidationError as error:
-        reasons = [reason_of(problem) for problem in error.errors()]
+        reasons = [reason_of_invalid_value(problem) for problem in error.errors()]
         yield f"{key}={value!r}: {' or '.join(reasons)}"

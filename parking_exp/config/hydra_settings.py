@@ -4,7 +4,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from parking_exp.config.settings import settings_of
+from parking_exp.config.settings import flatten_config
 from parking_exp.errors import ConfigError
 
 # Prefixes of keys that are not refused: Hydra itself sets them, or they change neither files nor
@@ -56,4 +56,4 @@ def what_instead(key: str) -> str:
 
 def _settings(node: DictConfig) -> dict[str, Any]:
     plain: Any = OmegaConf.to_container(node)
-    return settings_of(plain)
+    return flatten_config(plain)

@@ -19,7 +19,7 @@ MAX_VALUES = 100_000  # of a range
 WORD = re.compile(r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+""")
 
 
-def config_dir() -> Path:
+def conf_dir() -> Path:
     """Return the Hydra tree's directory: the package's in a wheel, else at the repository's top."""
     package = Path(__file__).resolve().parents[1]
     inside = package / "conf"
@@ -44,7 +44,7 @@ def to_hydra_syntax(argument: str) -> str:
         path = Path(value).expanduser()
         if not path.is_file():
             raise ConfigError(f"{argument}: there is no such file")
-        value = os.path.relpath(path.resolve().with_suffix(""), config_dir() / "experiment")
+        value = os.path.relpath(path.resolve().with_suffix(""), conf_dir() / "experiment")
     elif not equals or "/" not in value or key.startswith("-"):
         return argument
     else:

@@ -151,7 +151,7 @@ def update_ratio_warning(run: RunConfig) -> str | None:
 def _round_problems(run: RunConfig) -> Iterator[str]:
     """Yield a sentence for keys that set another round of updates, and for rounds that are long."""
     asked = f"updates_per_step={run.updates_per_step}"
-    train_freq, gradient_steps = run.update_rounds()
+    train_freq, gradient_steps = run.update_round()
     for name, number in (("train_freq", train_freq), ("gradient_steps", gradient_steps)):
         given = run.algorithm.arguments.get(name)
         if given not in (None, number):

@@ -317,9 +317,9 @@ class RunConfig(OutputConfig):
         settings = self.evaluation.model_dump(include=FINAL_EVALUATION)
         return {**settings, "n_certified_scenes": self.n_cross_checked}
 
-    def update_rounds(self) -> tuple[int, int]:
-        """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step`
-        exact.
+    def update_round(self) -> tuple[int, int]:
+        """Return `train_freq` and `gradient_steps` of the shortest round that makes
+        `updates_per_step` exact.
         """
         per_vec_step = self.update_ratio * self.n_envs
         return per_vec_step.denominator, per_vec_step.numerator

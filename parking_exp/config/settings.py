@@ -17,12 +17,12 @@ FlatConfig = Mapping[str, Setting]
 """Dotted keys -> values of one cell."""
 
 
-def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Setting]:
-    """Return a nested config as dotted keys; lists become text, as in stores."""
+def flatten_config(config: Mapping[str, Any], prefix: str = "") -> dict[str, Setting]:
+    """Return a nested config as settings by dotted keys; lists become text, as in stores."""
     flat: dict[str, Setting] = {}
     for key, value in config.items():
         if isinstance(value, Mapping) and value:
-            flat |= settings_of(value, f"{prefix}{key}.")
+            flat |= flatten_config(value, f"{prefix}{key}.")
         else:
             flat[f"{prefix}{key}"] = str(value) if isinstance(value, list | dict) else value
     return flat
@@ -98,7 +98,7 @@ def _defaults_left_out(model: type[BaseModel], prefix: str) -> dict[str, Setting
     for name, field in model.model_fields.items():
         key = f"{prefix}{name}"
         if field.exclude_if is not None and field.default is not None:
-            defaults |= settings_of({key: field.default})
+            defaults |= flatten_config({key: field.default})
         elif isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             defaults |= _defaults_left_out(field.annotation, f"{key}.")
     return defaults

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from parking_exp.config.constructor_arguments import argument_problems
 from parking_exp.config.rules import rule_problems, task_problems
 from parking_exp.config.schema import RunConfig, SweepOptions
-from parking_exp.errors import ConfigError, first_line, reason_of
+from parking_exp.errors import ConfigError, first_line, reason_of_invalid_value
 from parking_exp.phrases import did_you_mean
 from parking_exp.tasks.registry import TASKS
 
@@ -73,11 +73,11 @@ def parse_config(model: type[Model], config: Config, without: Set[str] = frozens
         if reason.startswith(OF_RESOLVER):  # its message names the key
             raise ConfigError(reason.removeprefix(OF_RESOLVER)) from error
         raise ConfigError(f"{error.full_key}: {reason}") from error
-    return check_schema(model, {key: value for key, value in plain.items() if key not in without})
+    return parse_plain(model, {key: value for key, value in plain.items() if key not in without})
 
 
-def check_schema(model: type[Model], plain: Mapping[str, Any]) -> Model:
-    """Check plain values against a schema; raises as `validate`."""
+def parse_plain(model: type[Model], plain: Mapping[str, Any]) -> Model:
+    """Return plain values as a schema's model, once they are checked; raises as `validate`."""
     try:
         return model.model_validate(plain)
     except ValidationError as error:
@@ -89,7 +89,7 @@ def _sentence_of_pydantic(error: Any, model: type[BaseModel]) -> str:
     """Say what is wrong with a value: an item of `ValidationError.errors()`."""
     # Pydantic adds the task to keys of `env`.
     key = ".".join(str(part) for part in error["loc"] if part not in TASKS)
-    reason = reason_of(error)
+    reason = reason_of_invalid_value(error)
     match error["type"]:
         case "missing":
             return f"{key} is missing"

@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from parking_exp.config.cell_labels import find_factors, label_factors
 from parking_exp.config.paths import resolved
 from parking_exp.config.run_key import short_hash
-from parking_exp.config.settings import Setting, display_setting, settings_of, with_defaults
+from parking_exp.config.settings import Setting, display_setting, flatten_config, with_defaults
 from parking_exp.config.validate import raise_problems
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, VideoError
@@ -83,7 +83,7 @@ class Evaluation:
 def _env_settings(env: EnvConfig) -> dict[str, Setting]:
     """Return what makes the episodes of an env differ, as dotted keys, without the agent's part."""
     plain = {"env": env.model_dump(exclude={"simulator", "metrics", *env.agent_keys})}
-    return with_defaults(settings_of(plain))
+    return with_defaults(flatten_config(plain))
 
 
 def evaluate_runs(

@@ -6,7 +6,7 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import NonNegativeInt
 
 from parking_exp.config.schema import RunConfig, StoreConfig
-from parking_exp.config.validate import SWEEP_KEYS, check_schema, parse_config, raise_problems
+from parking_exp.config.validate import SWEEP_KEYS, parse_config, parse_plain, raise_problems
 from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import Agent, AgentRequest, is_pretrained
@@ -65,7 +65,7 @@ def validate_evaluation(config: DictConfig) -> EvaluationRequest:
     request = parse_config(EvaluationRequest, config, without=KEYS_LEFT_OUT)
     n_episodes = len(request.seeds)
     if request.env and "task" in request.env:
-        check_schema(EvaluatedEnv, {"env": request.env})
+        parse_plain(EvaluatedEnv, {"env": request.env})
     elif is_model_file(request.run):
         raise ConfigError(
             f"run={request.run}: name the env that the model is evaluated on, such as env=parking"
@@ -97,7 +97,7 @@ def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
             "is another task"
         )
     agent_part = trained_on.model_dump(include={*trained_on.agent_keys})
-    env = check_schema(EvaluatedEnv, {"env": requested | agent_part}).env
+    env = parse_plain(EvaluatedEnv, {"env": requested | agent_part}).env
     simulator = request.simulator or env.simulators[-1]  # by default the task's reference
     if simulator not in env.simulators:
         raise ConfigError(

@@ -11,11 +11,11 @@ from parking_exp.runs.lookup import LATEST, find_runs
 from parking_exp.runs.run_files import read_config
 
 
-def name_source(config: RunConfig) -> RunConfig:
-    """Return a config whose `init` always means the same run: its path in the output directory.
+def fix_source(config: RunConfig) -> RunConfig:
+    """Return a config whose `init` always means the same run.
 
-    The path is absolute if the run lies elsewhere. `latest` is what it was when this config was
-    planned first, so that a repeated command resumes its runs.
+    It is the run's path in the output directory, and absolute if the run lies elsewhere. `latest`
+    is what it was when this config was planned first, so that a repeated command resumes its runs.
 
     Raises:
         RunNotFoundError: there is no such run.

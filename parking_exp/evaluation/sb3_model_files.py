@@ -19,7 +19,7 @@ from parking_exp.config.constructor_arguments import argument_problems
 from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.validate import SWEEP_KEYS, check_schema, raise_problems
+from parking_exp.config.validate import SWEEP_KEYS, parse_plain, raise_problems
 from parking_exp.errors import ModelError, RunNotFoundError, one_line
 from parking_exp.evaluation.agents import Agent
 from parking_exp.runs.atomic_files import MAX_JSON, open_file, sha256
@@ -87,7 +87,7 @@ def find_agent_in_file(
     (recipe,) = compose_configs("config", [])
     plain: Any = OmegaConf.to_container(recipe, resolve=True)
     plain.update(env=env, algorithm=arguments, output_dir=str(output_dir))
-    config = check_schema(RunConfig, {key: plain[key] for key in plain if key not in SWEEP_KEYS})
+    config = parse_plain(RunConfig, {key: plain[key] for key in plain if key not in SWEEP_KEYS})
     raise_problems(argument_problems(config))
 
     digest = short_hash({"file": sha256(path), "env": env, "algorithm": arguments})

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.settings import FlatConfig, settings_of
+from parking_exp.config.settings import FlatConfig, flatten_config
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.runs.atomic_files import parse_plain_yaml
 from parking_exp.tasks.metrics import EPISODE_SEED
@@ -59,7 +59,7 @@ def config_reader() -> Callable[[bytes], FlatConfig]:
         config = parse_plain_yaml(content)
         if not isinstance(config, dict):
             raise ValueError("it is not a mapping")
-        return settings_of(config)
+        return flatten_config(config)
 
     def read(content: bytes) -> FlatConfig:
         seed = SEED_LINE.search(content)

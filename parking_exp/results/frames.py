@@ -12,7 +12,7 @@ import pandas as pd
 
 from parking_exp.config.paths import database_file, default_uri, directory_path, refuse_password
 from parking_exp.config.settings import FlatConfig, Setting
-from parking_exp.errors import ParkingError, ResultsError, reason_of_failure
+from parking_exp.errors import ParkingError, ResultsError, reason_of_store_failure
 from parking_exp.phrases import suggestion
 from parking_exp.results.artifact_parsers import (
     CATEGORIES,
@@ -156,7 +156,7 @@ def as_results_error(what: str) -> Iterator[None]:
     except ParkingError:
         raise
     except Exception as error:
-        raise ResultsError(f"{what}: {reason_of_failure(error)}") from error
+        raise ResultsError(f"{what}: {reason_of_store_failure(error)}") from error
 
 
 def _choose_experiments(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
@@ -284,7 +284,7 @@ def _read_files(
             if content is not None:
                 return parse(content), None
         except Exception as error:
-            return None, f"{name} can't be read: {reason_of_failure(error)}"
+            return None, f"{name} can't be read: {reason_of_store_failure(error)}"
         if run["status"] == "done" and not optional:
             return None, f"{name} is missing in the store"
         return None, None

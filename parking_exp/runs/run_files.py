@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from parking_exp.config.paths import absolute_uri, relative_uri
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.validate import check_schema
+from parking_exp.config.validate import parse_plain
 from parking_exp.errors import ConfigError, first_line
 from parking_exp.runs.atomic_files import (
     MAX_SMALL,
@@ -134,7 +134,7 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
             f"{path} contains the interpolation {interpolation[0]}, which a stored config may not"
         )
     try:
-        config = check_schema(RunConfig, stored)
+        config = parse_plain(RunConfig, stored)
     except ConfigError as error:
         raise ConfigError(f"{path} does not fit this version of parking_exp: {error}") from error
     uri = config.tracking.uri and absolute_uri(config.tracking.uri, output_dir)

@@ -83,7 +83,7 @@ def never_began(directory: RunDirectory) -> bool:
     return is_planned and {file.name for file in directory.path.iterdir()} <= PLAN_FILES
 
 
-def delete_plan(directory: RunDirectory, before: Callable[[], None]) -> bool:
+def delete_planned_run(directory: RunDirectory, before: Callable[[], None]) -> bool:
     """Delete the directory of a run that never began, and its parents if they are empty then.
 
     Args:

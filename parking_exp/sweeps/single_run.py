@@ -11,9 +11,9 @@ from omegaconf import DictConfig
 from parking_exp.config.cell_labels import label_cells
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.settings import settings_of
+from parking_exp.config.settings import flatten_config
 from parking_exp.config.validate import validate
-from parking_exp.evaluation.init_sources import name_source
+from parking_exp.evaluation.init_sources import fix_source
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_plans import make_pending
 from parking_exp.terminal import is_script, say, unfailing_output
@@ -38,7 +38,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
     with unfailing_output():
-        return _train_or_keep(name_source(validate(config)))
+        return _train_or_keep(fix_source(validate(config)))
 
 
 def _train_or_keep(config: RunConfig) -> RunResult:
@@ -83,7 +83,7 @@ def _begin(directory: RunDirectory, config: RunConfig) -> None:
     """Plan a run as a sweep would, and record that this process begins it."""
     if directory.result() is not None:
         say("already trained; its final model is evaluated again, with other settings")
-    (own_label,) = label_cells([settings_of(config.plain())], [config.cell_name])
+    (own_label,) = label_cells([flatten_config(config.plain())], [config.cell_name])
     planned_label = directory.read_status().get("label")  # in a sweep
     make_pending(directory, config, config.label or planned_label or own_label)
     directory.reserve()

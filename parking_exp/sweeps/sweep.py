@@ -17,10 +17,10 @@ from rich.console import Console
 from parking_exp.config.cell_labels import label_by_experiment
 from parking_exp.config.compose import ComposedRun
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.settings import settings_of
+from parking_exp.config.settings import flatten_config
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError, FailedRunError
-from parking_exp.evaluation.init_sources import name_source
+from parking_exp.evaluation.init_sources import fix_source
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
@@ -91,7 +91,7 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
     cells = _check_cells(composed)
     _refuse_two_evaluations(cells.values())
-    settings = {cell.name: settings_of(cell.config.plain()) for cell in cells.values()}
+    settings = {cell.name: flatten_config(cell.config.plain()) for cell in cells.values()}
     labels = label_by_experiment(settings)
     numbers = {name: number for number, name in enumerate(settings)}
 
@@ -119,7 +119,7 @@ def _check_cells(composed: Sequence[ComposedRun]) -> dict[int, _Cell]:
     unique = {id(run.cell_config): run.cell_config for run in composed}
     cells = {}
     for key, checked in zip(unique, validate_all(unique.values()), strict=True):
-        config = name_source(checked)
+        config = fix_source(checked)
         cells[key] = _Cell(config, config.run_dir.parent)  # hashing the config takes time
     return cells
 

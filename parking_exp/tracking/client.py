@@ -71,7 +71,8 @@ def say_ignored_store() -> None:
 def connect(uri: str) -> "MlflowClient":
     """Return a client of a store that has answered; make a database of sqlite if there is none.
 
-    Raises whatever MLflow, SQLAlchemy or the disk raise; `reason_of_failure` puts it in a line.
+    Raises whatever MLflow, SQLAlchemy or the disk raise; `reason_of_store_failure` puts it in a
+    line.
     """
     with no_garbage_collection():
         import_mlflow()

@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.progress import track
 
 from parking_exp.config.paths import ARTIFACTS, SQLITE
-from parking_exp.errors import StoreError, reason_of_failure
+from parking_exp.errors import StoreError, reason_of_store_failure
 from parking_exp.phrases import plural
 from parking_exp.resources import no_garbage_collection
 from parking_exp.runs.directory import RunDirectory
@@ -77,7 +77,7 @@ def _build(store: Store, path: Path) -> None:
             with no_garbage_collection():
                 write_new_run(directory, new, store.uri, experiment_ids)
         except Exception as error:  # of this run; the store has the others
-            problems.append(f"{directory.path}: {reason_of_failure(error)}")
+            problems.append(f"{directory.path}: {reason_of_store_failure(error)}")
     unfinished.replace(path)
     lock_path(unfinished).unlink(missing_ok=True)
     if problems:
@@ -97,7 +97,7 @@ def _is_usable(path: Path) -> bool:
     try:
         experiments = store.client.search_experiments(max_results=EXPERIMENTS)
     except Exception as error:
-        text = reason_of_failure(error)
+        text = reason_of_store_failure(error)
         if "out-of-date database schema" in text:  # MLflow adds what an older one lacks
             raise StoreError(
                 f"{path} was made by another version of MLflow; install that, or {MOVE_IT}"

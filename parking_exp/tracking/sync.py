@@ -10,7 +10,7 @@ from filelock import FileLock
 
 from parking_exp.config.paths import default_uri, is_same_store, resolved
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import StoreError, reason_of_failure
+from parking_exp.errors import StoreError, reason_of_store_failure
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import SYNC_LOCK, RunDirectory
 from parking_exp.runs.output_identity import output_id
@@ -48,7 +48,7 @@ def try_sync(directory: RunDirectory, store: Store) -> str | None:
     try:
         sync_run(directory, store)
     except Exception as error:
-        return reason_of_failure(error)
+        return reason_of_store_failure(error)
     return None
 
 
@@ -88,7 +88,7 @@ def sync_missing(
     try:
         synced = _runs_by_state(idle, store)
     except Exception as error:
-        problem = reason_of_failure(error)
+        problem = reason_of_store_failure(error)
         yield from ((directory, problem) for directory in idle)
         return
     for directory in idle:
@@ -151,7 +151,7 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
                 with store.writing() as client:
                     client.delete_run(run.info.run_id)
     except Exception as error:
-        problem = reason_of_failure(error)
+        problem = reason_of_store_failure(error)
         raise StoreError(
             f"{directory.path} is kept, since the store {store.uri} fails: {problem}"
         ) from error

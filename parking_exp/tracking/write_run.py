@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from parking_exp.config.paths import resolved
-from parking_exp.config.settings import encode_setting, settings_of
+from parking_exp.config.settings import encode_setting, flatten_config
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file
 from parking_exp.runs.directory import RunDirectory
@@ -133,7 +133,7 @@ def _record_id(directory: RunDirectory, run: "Run", uri: str) -> None:
 def _write_content(store: Store, run: "Run", snapshot: RunSnapshot) -> None:
     """Write the parameters, tags, metrics, files and MLflow's own status of a run."""
     files = snapshot.files
-    settings = settings_of(snapshot.config.plain())
+    settings = flatten_config(snapshot.config.plain())
     params = {key: encode_setting(value)[:MAX_PARAM_LENGTH] for key, value in settings.items()}
     metrics = list(_new_metrics(run, files.get(METRICS_FILE)))
     store.log(run, params, snapshot.tags, metrics)

@@ -13,7 +13,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.settings import (
     differing_keys,
     display_setting,
-    settings_of,
+    flatten_config,
     with_defaults,
 )
 from parking_exp.errors import ConfigError, ModelError
@@ -101,8 +101,8 @@ def _find_buffer(config: RunConfig, agent: Agent) -> Path:
 
 
 def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) -> None:
-    own = with_defaults(settings_of(config.plain()))
-    source = with_defaults(settings_of(agent.config.plain()))
+    own = with_defaults(flatten_config(config.plain()))
+    source = with_defaults(flatten_config(agent.config.plain()))
     for key in differing_keys([own, source]):
         is_of_optimizer = key.startswith("algorithm.policy_kwargs.optimizer")
         is_empty = key == "algorithm.policy_kwargs"  # for one of both

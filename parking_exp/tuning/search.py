@@ -13,9 +13,9 @@ from parking_exp.config.cell_labels import GROUPS
 from parking_exp.config.compose import ComposedRun, compose_runs, hydra_ready
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.validate import check_schema, parse_config, raise_problems, validate
+from parking_exp.config.validate import parse_config, parse_plain, raise_problems, validate
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.init_sources import name_source
+from parking_exp.evaluation.init_sources import fix_source
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.lookup import LATEST
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
@@ -91,7 +91,7 @@ class Search:
         config = validate(plain)
         if config.init == LATEST:
             raise ConfigError("init=latest: name a run, so that all trials start from the same one")
-        return name_source(config)
+        return fix_source(config)
 
     def check(self) -> None:
         """Check the space: every key, both ends of each range, and every choice.
@@ -177,7 +177,7 @@ def read_search(folder: Path) -> StoredSearch | None:
         return None
     import optuna
 
-    stored = check_schema(SearchFile, content)
+    stored = parse_plain(SearchFile, content)
     with study_errors(folder.name):
         study = optuna.load_study(study_name=folder.name, storage=storage_of(folder))
         retested = read_retest(folder)

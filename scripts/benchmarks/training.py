@@ -111,7 +111,7 @@ def _sb3_model(config: RunConfig, algorithm: type, envs: Any) -> Any:
         arguments["action_noise"] = NormalActionNoise(
             np.full(size, noise["mean"]), np.full(size, noise["sigma"])
         )
-    train_freq, gradient_steps = config.update_rounds()
+    train_freq, gradient_steps = config.update_round()
     names = ("learning_rate", "learning_starts", "batch_size", "gamma", "tau", "action_noise")
     return algorithm(
         "MultiInputPolicy",

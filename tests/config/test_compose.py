@@ -14,7 +14,7 @@ from support.runs import GROUPS, config_refusal, options
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.compose import compose, compose_configs, compose_runs
-from parking_exp.config.overrides import config_dir, to_hydra_syntax
+from parking_exp.config.overrides import conf_dir, to_hydra_syntax
 from parking_exp.config.validate import validate, validate_all
 from parking_exp.errors import ConfigError
 
@@ -123,7 +123,7 @@ def test_missing_values_and_broken_interpolations_name_their_key(override):
 )
 def test_a_config_equals_what_hydra_composes(lines):
     (ours,) = compose_configs("config", lines)
-    with initialize_config_dir(version_base="1.3", config_dir=str(config_dir())):
+    with initialize_config_dir(version_base="1.3", config_dir=str(conf_dir())):
         assert OmegaConf.to_yaml(ours) == OmegaConf.to_yaml(hydra.compose("config", lines))
 
 
@@ -263,7 +263,7 @@ def test_a_sweep_is_the_product_of_values_in_hydras_grammar(overrides, key, valu
 
 
 def test_composing_leaves_an_outer_hydra_as_it_was():
-    with initialize_config_dir(version_base="1.3", config_dir=str(config_dir())):
+    with initialize_config_dir(version_base="1.3", config_dir=str(conf_dir())):
         before = GlobalHydra.instance().hydra
         compose_configs("config", [])
         assert GlobalHydra.instance().hydra is before

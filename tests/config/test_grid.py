@@ -159,7 +159,7 @@ def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps)
     """Cells differ in buffer and env only: the same steps, updates, networks and evaluation."""
     expanded = runs(f"experiment={experiment}", f"budget={budget}", "seeds=1")
     assert {run.total_timesteps for run in expanded} == {steps}
-    assert {run.update_rounds() for run in expanded} == {(1, 8)}
+    assert {run.update_round() for run in expanded} == {(1, 8)}
     rest = [
         run.plain() | {"buffer": None, "env": None}
         for run in expanded

@@ -58,9 +58,9 @@ def test_longest_episode_counts_time_as_highway_env_does(option, steps):
     ("updates_per_step", "n_envs", "expected"),
     [(1.0, 8, (1, 8)), (0.125, 8, (1, 1)), (0.125, 1, (8, 1)), (0.3, 1, (10, 3))],
 )
-def test_update_rounds_keep_updates_per_step_for_any_n_envs(updates_per_step, n_envs, expected):
+def test_update_round_keeps_updates_per_step_for_any_n_envs(updates_per_step, n_envs, expected):
     config = compose().model_copy(update={"updates_per_step": updates_per_step, "n_envs": n_envs})
-    assert config.update_rounds() == expected
+    assert config.update_round() == expected
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_update_rounds_keep_updates_per_step_for_any_n_envs(updates_per_step, n_
     ],
 )
 def test_train_freq_and_gradient_steps_follow_from_updates_per_step(overrides, rounds):
-    assert compose(*overrides).update_rounds() == rounds
+    assert compose(*overrides).update_round() == rounds
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_the_rounds_of_every_ratio_that_is_accepted_are_exact(n_envs):
     default = compose()
     for ratio in (0.001, 0.0015, 0.03125, 0.1, 0.3, 1 / 3, 0.7, 1, 2.5, 20):
         config = default.model_copy(update={"updates_per_step": ratio, "n_envs": n_envs})
-        train_freq, gradient_steps = config.update_rounds()
+        train_freq, gradient_steps = config.update_round()
         assert gradient_steps / (train_freq * n_envs) == ratio
 
 

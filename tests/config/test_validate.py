@@ -210,7 +210,7 @@ def test_any_value_of_any_key_is_accepted_or_refused_with_a_config_error(value):
         with contextlib.suppress(ConfigError):
             config = validate(plain)
             assert config.run_key
-            assert config.update_rounds()[0]
+            assert config.update_round()[0]
 
 
 def test_validation_does_not_change_the_config_and_can_be_repeated():

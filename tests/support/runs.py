@@ -17,7 +17,7 @@ import pytest
 
 from parking_exp.cli.evaluate import evaluate
 from parking_exp.config.compose import compose
-from parking_exp.config.settings import settings_of
+from parking_exp.config.settings import flatten_config
 from parking_exp.errors import ConfigError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
@@ -186,7 +186,7 @@ def artifacts(client, run_id, folder=None):
 
 def stored_params(config):
     """A run's config as the parameters that MLflow has of it."""
-    return {key: str(value) for key, value in settings_of(config.plain()).items()}
+    return {key: str(value) for key, value in flatten_config(config.plain()).items()}
 
 
 def history(client, run_id, key):

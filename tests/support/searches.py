@@ -3,7 +3,7 @@
 import yaml
 
 from parking_exp.config.compose import compose
-from parking_exp.config.validate import check_schema
+from parking_exp.config.validate import parse_plain
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.search_config import SearchConfig
 
@@ -28,7 +28,7 @@ QUICK = (
 
 def settings(**changes):
     """A checked search."""
-    return check_schema(SearchConfig, SETTINGS | changes)
+    return parse_plain(SearchConfig, SETTINGS | changes)
 
 
 def base(tmp_path, *overrides):

@@ -11,7 +11,7 @@ from support.runs import call_script, config_refusal, refusal
 from support.simulator_equality import find_mismatches
 
 from parking_exp import compose, train
-from parking_exp.config.settings import settings_of
+from parking_exp.config.settings import flatten_config
 from parking_exp.evaluation.agents import find_agent
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_report import cell_data, figure_data
@@ -111,7 +111,7 @@ def test_a_report_has_no_picture_by_slot_and_rates_by_number_of_cars():
     # As frames have it: ranges are text, numbers may have become floats, and other cells have keys
     # of their own.
     stored = {"env.lot.angle_deg": None}
-    for key, value in settings_of({"env": config.model_dump()}).items():
+    for key, value in flatten_config({"env": config.model_dump()}).items():
         stored[key] = value
         if isinstance(value, list):
             stored[key] = json.dumps(value)

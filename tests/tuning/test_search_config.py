@@ -4,7 +4,7 @@ import optuna
 import pytest
 from support.searches import SETTINGS
 
-from parking_exp.config.validate import check_schema
+from parking_exp.config.validate import parse_plain
 from parking_exp.errors import ConfigError
 from parking_exp.tuning.search_config import Dimension, SearchConfig
 
@@ -66,6 +66,6 @@ def test_sampled_values_lie_within_both_ends_and_have_six_digits():
 )
 def test_a_wrong_search_is_refused_in_one_sentence_that_names_the_key(changes, words):
     with pytest.raises(ConfigError) as error:
-        check_schema(SearchConfig, SETTINGS | changes)
+        parse_plain(SearchConfig, SETTINGS | changes)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
