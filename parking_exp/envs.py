@@ -43,8 +43,8 @@ def make_lot_env(
     """
     from parking_exp.tasks.parking.highway import make_parking_env
 
-    of_level = [] if level is None else [f"env.level={level}"]
-    config = compose(f"env={env}", *of_level, *overrides).env
+    level_override = [] if level is None else [f"env.level={level}"]
+    config = compose(f"env={env}", *level_override, *overrides).env
     if not isinstance(config, ParkingConfig) or not config.lot_configs:
         raise ConfigError(f"env={config.name}: it has no lot of its own")
     return make_parking_env(config, render_mode=render_mode)

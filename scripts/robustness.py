@@ -105,7 +105,7 @@ class Column:
         """
         shares = []
         for policy, env in self.agents:
-            shares.append(evaluate(policy, _perturbed(env, perturbation), perturbation))
+            shares.append(evaluate(policy, _perturb(env, perturbation), perturbation))
         rates = 100 * np.array([share[self.metric] for share in shares])
         crash = 100 * np.mean([share["crash"] for share in shares])
         rate = f"{rates.mean():.1f}"
@@ -114,7 +114,7 @@ class Column:
         return f"{rate} ({crash:.1f})"
 
 
-def _perturbed(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:
+def _perturb(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:
     cars = perturbation.vehicles_count
     if cars is None:
         cars = 10 if env.vehicles_range[1] else 0

@@ -13,10 +13,10 @@ import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_getattr
 
-from parking_exp.algorithms.policy_files import ACTOR, load_layers
+from parking_exp.algorithms.policy_files import ACTOR_PREFIX, load_layers
 from parking_exp.errors import ModelError, one_line
 
-ENTROPY = "log_ent_coef"  # of SAC, TQC and CrossQ; None if it is not tuned
+LOG_ENT_COEF = "log_ent_coef"  # of SAC, TQC and CrossQ; None if it is not tuned
 
 
 def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -51,9 +51,9 @@ def load_networks(path: Path, model: OffPolicyAlgorithm) -> None:
     """
     weights, variables = read_weights(path, model.device)
     load_layers(model.policy, weights.get("policy", {}), path)
-    coefficient = getattr(model, ENTROPY, None)
-    if coefficient is not None and ENTROPY in variables:
-        coefficient.data.copy_(variables[ENTROPY])
+    coefficient = getattr(model, LOG_ENT_COEF, None)
+    if coefficient is not None and LOG_ENT_COEF in variables:
+        coefficient.data.copy_(variables[LOG_ENT_COEF])
 
 
 def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -68,7 +68,7 @@ def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
         "; name the env that it was trained on (env=NAME), and its algorithm and policy "
         "(algorithm=NAME algorithm.policy_kwargs.NAME=VALUE)"
     )
-    load_layers(actor, weights, path, prefix=ACTOR, hint=hint)
+    load_layers(actor, weights, path, prefix=ACTOR_PREFIX, hint=hint)
 
 
 def read_actor(path: Path, device: torch.device | str) -> dict[str, torch.Tensor]:
@@ -79,8 +79,8 @@ def read_actor(path: Path, device: torch.device | str) -> dict[str, torch.Tensor
     if not isinstance(policy, Mapping):
         return actor
     for name, weight in policy.items():
-        if str(name).startswith(ACTOR) and isinstance(weight, torch.Tensor):
-            actor[name.removeprefix(ACTOR)] = weight
+        if str(name).startswith(ACTOR_PREFIX) and isinstance(weight, torch.Tensor):
+            actor[name.removeprefix(ACTOR_PREFIX)] = weight
     return actor
 
 

@@ -53,7 +53,7 @@ class PolicyEMA:
         return [weight.cpu().numpy() for weight in self._weights]
 
     def set_state(self, weights: Sequence[np.ndarray]) -> None:
-        """Restore the average; the model is as it was then."""
+        """Restore the average. The model has to be restored before."""
         self._weights = [torch.as_tensor(weight, device=self.model.device) for weight in weights]
         self._updates = self.model._n_updates
 

@@ -15,7 +15,7 @@ from torch import nn
 
 from parking_exp.errors import ModelError
 
-ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
+ACTOR_PREFIX = "actor."  # prefix of the names of the actor's weights in a policy
 NETWORKS = ("actor", "critic")
 
 

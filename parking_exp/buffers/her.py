@@ -165,7 +165,7 @@ class HerBuffer(DictReplayBuffer):
         n_demonstrated = round(self.demonstration_share * batch_size)
         own = self._sample(batch_size - n_demonstrated)
         demonstrated = self.demonstrations._sample(n_demonstrated)
-        return _joined(own, demonstrated)
+        return _join_minibatches(own, demonstrated)
 
     def _sample(self, batch_size: int) -> DictReplayBufferSamples:
         """Sample a minibatch of this buffer's own transitions, without its demonstrations."""
@@ -322,7 +322,7 @@ class HerBuffer(DictReplayBuffer):
         return torch.as_tensor(np.ascontiguousarray(array), device=self.device)
 
 
-def _joined(
+def _join_minibatches(
     first: DictReplayBufferSamples, second: DictReplayBufferSamples
 ) -> DictReplayBufferSamples:
     """Return two minibatches as one."""

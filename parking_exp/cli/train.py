@@ -17,7 +17,7 @@ def main() -> None:
 def train(overrides: list[str], extra_config_dir: str | None) -> None:
     """Train a single run in this process, several as a sweep."""
     with no_garbage_collection(freeze=True):
-        from parking_exp.sweeps.launchers import launcher_of
+        from parking_exp.sweeps.launchers import make_launcher
         from parking_exp.sweeps.sweep import plan, sweep
 
         runs = compose_runs("config", overrides, extra_config_dir)
@@ -40,7 +40,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
 
     if is_sweep:
         is_due = any(run.is_due for run in planned)
-        launcher = launcher_of(runs, extra_config_dir, connect=is_due and not options.dry_run)
+        launcher = make_launcher(runs, extra_config_dir, connect=is_due and not options.dry_run)
         sweep(planned, launcher, dry_run=options.dry_run)
     else:
         single_run.train(planned[0].config)

@@ -155,7 +155,7 @@ def takes(call: Any, name: str) -> bool:
     return signature.is_open or name in signature.types
 
 
-def argument_hint(key: str, node: Mapping[str, Any], of_options: str) -> str:
+def argument_hint(key: str, node: Mapping[str, Any], option_hint: str) -> str:
     """Say what to type instead of an unknown key of a node, whose class may take other keys.
 
     If it does not, return the hint at other options, unless that is empty.
@@ -172,8 +172,8 @@ def argument_hint(key: str, node: Mapping[str, Any], of_options: str) -> str:
     similar = get_close_matches(name, sorted(arguments), n=1, cutoff=SIMILAR)
     if similar and similar[0] != name:
         return f"; did you mean '++{section}.{similar[0]}'?"
-    if of_options and not similar:
-        return of_options
+    if option_hint and not similar:
+        return option_hint
     return f"; write ++{key}=VALUE to add it"
 
 

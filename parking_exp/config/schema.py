@@ -45,11 +45,11 @@ from parking_exp.config_model import (
 from parking_exp.tasks.registry import EnvConfig
 
 PLANNER = {"_target_": "parking_exp.tasks.parking.planning.Planner"}
-STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
+STORE_URI = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
 
 
 def _check_store(uri: str) -> str:
-    if not STORES.fullmatch(refuse_password(uri)):
+    if not STORE_URI.fullmatch(refuse_password(uri)):
         raise ValueError(
             "it is not an MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking "
             "server"
@@ -154,7 +154,7 @@ class EvaluationConfig(ConfigModel):
     video_episodes: NonNegativeInt
 
     def seeds(self, n_episodes: int) -> range:
-        """Return the seeds of the first of the fixed episodes."""
+        """Return the seeds of the first `n_episodes` fixed episodes."""
         return range(self.first_scene, self.first_scene + n_episodes)
 
 

@@ -124,12 +124,14 @@ def find_agent(
 ) -> Agent:
     """Find a trained agent; arguments and errors are those of `load_model`.
 
-    Messages name `key`, the key that has its name.
+    `key` is the config key that names the run; messages begin with it.
     """
     if is_pretrained(run):
         return _find_pretrained(run, output_dir, model, key)
-    others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in PRETRAINED_NAMES)]
-    directory = find_run(run, output_dir, having=f"models/{model}.zip", others=others, key=key)
+    other_names = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in PRETRAINED_NAMES)]
+    directory = find_run(
+        run, output_dir, required_file=f"models/{model}.zip", other_names=other_names, key=key
+    )
     weights = directory.models / f"{model}.zip"
     if not weights.is_file():
         raise RunNotFoundError(

@@ -69,8 +69,8 @@ def find_source(config: RunConfig) -> Agent:
     source = str(config.init)
     if not is_pretrained(source):
         folder = config.output_path / source
-        of_seed = folder / f"seed={config.seed}"
-        if of_seed.is_dir():
-            folder = of_seed
+        seed_folder = folder / f"seed={config.seed}"
+        if seed_folder.is_dir():
+            folder = seed_folder
         source = str(folder)
     return find_agent(source, config.output_path, trust=True, key="init")

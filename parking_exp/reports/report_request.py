@@ -58,12 +58,12 @@ def validate_report(config: DictConfig) -> ReportRequest:
     """Validate a composed config."""
     request = parse_config(ReportRequest, config)
     if request.source:
-        of_stores = {
+        store_keys = {
             "experiment": request.experiments,
             "tracking.uri": request.tracking.uri,
             "export": request.export,
         }
-        for key, value in of_stores.items():
+        for key, value in store_keys.items():
             if value:
                 _refuse_both(key, f"from={request.source}")
     if request.contrast is not None:

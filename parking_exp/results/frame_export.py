@@ -19,7 +19,7 @@ from parking_exp.config.settings import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.artifact_parsers import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
 from parking_exp.results.frames import (
-    FINAL,
+    FINAL_COLUMNS,
     RUN_TYPES,
     TEXT,
     Results,
@@ -38,7 +38,7 @@ LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.trackin
 """Columns of runs that name a place on the machine; an export has none of them."""
 LABEL_COLUMNS = ["config.label", "config.contrasts"]
 """Columns of runs with labels, in which slashes separate no folders."""
-PATH = re.compile(
+ABSOLUTE_PATH = re.compile(
     r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?"
 )
 
@@ -63,7 +63,7 @@ def write_export(
     for outdated in (folder / REPORT, *folder.glob(".tmp-*")):
         outdated.unlink(missing_ok=True)
     tables = {
-        "runs.csv.gz": _without_unknown(_exported_runs(results.runs), FINAL.values()),
+        "runs.csv.gz": _without_unknown(_exported_runs(results.runs), FINAL_COLUMNS.values()),
         "curves.csv.gz": _without_unknown(results.curves, CURVE_KEYS.values()),
         "outcomes.csv.gz": _exported_outcomes(results.episodes),
     }
@@ -114,7 +114,7 @@ def refuse_foreign(folder: Path) -> None:
 
 def without_paths(words: str) -> str:
     """Return a text in which absolute paths are only their last part."""
-    return PATH.sub(r"\1", words)
+    return ABSOLUTE_PATH.sub(r"\1", words)
 
 
 def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
@@ -152,7 +152,7 @@ def _read_runs(path: Path) -> pd.DataFrame:
     # The copy is in one piece, after so many columns were replaced.
     runs = runs.copy().assign(run_dir=None, artifact_uri=None)
     # Exports have no metrics that only other tasks have.
-    missing = [name for name in FINAL.values() if name not in runs]
+    missing = [name for name in FINAL_COLUMNS.values() if name not in runs]
     runs = runs.reindex(columns=[*runs.columns, *missing])
     columns = RUN_TYPES | dict.fromkeys(added_metrics(runs.columns), "float64")
     return runs[[*columns, *versions, *settings]].astype(columns)

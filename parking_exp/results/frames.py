@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 STATUSES = ("done", "running", "failed", "interrupted")
 # Metrics and their columns.
-FINAL = {f"final/{metric.key}": metric.run_column for metric in METRICS}
-COST = {"time/cpu_s": "cpu_s", "time/wall_s": "wall_s"}
+FINAL_COLUMNS = {f"final/{metric.key}": metric.run_column for metric in METRICS}
+COST_COLUMNS = {"time/cpu_s": "cpu_s", "time/wall_s": "wall_s"}
 
 TEXT: Any = "str" if int(pd.__version__.partition(".")[0]) >= 3 else object
 RUN_TYPES: dict[str, Any] = {
@@ -46,7 +46,7 @@ RUN_TYPES: dict[str, Any] = {
     "status": pd.CategoricalDtype([*STATUSES]),
     "error": TEXT,
     "steps": "int64",
-    **dict.fromkeys([*FINAL.values(), *COST.values()], "float64"),
+    **dict.fromkeys([*FINAL_COLUMNS.values(), *COST_COLUMNS.values()], "float64"),
     **dict.fromkeys(("started", "ended"), "datetime64[ms, UTC]"),
     **dict.fromkeys(("run_dir", "artifact_uri", "git_commit"), TEXT),
     "git_dirty": "boolean",
@@ -194,8 +194,8 @@ def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) ->
     metrics = pd.DataFrame([run.data.metrics for run in stored])
     infos = pd.DataFrame([dict(run.info) for run in stored])
     added = added_metrics(metrics.columns, "final/")
-    final = FINAL | {f"final/{name}": name for name in added}
-    columns = COST | final
+    final = FINAL_COLUMNS | {f"final/{name}": name for name in added}
+    columns = COST_COLUMNS | final
     types = RUN_TYPES | dict.fromkeys(added, "float64")
 
     numbers = metrics.reindex(columns=[*columns]).rename(columns=columns)

@@ -106,8 +106,8 @@ class RunDirectory:
         """Whether a process, this one included, holds one of the run's locks."""
         return is_held(self.path / SUPERVISOR_LOCK) or is_held(self.path / TRAINING_LOCK)
 
-    def update(self, *, durable: bool = True, **values: Any) -> None:
-        """Change entries of status.json; None removes one.
+    def update_status(self, *, durable: bool = True, **values: Any) -> None:
+        """Change entries of `status.json`; None removes one.
 
         The URI of a store is made relative. A run that has ended needs its reserved space no more.
         """
@@ -140,7 +140,7 @@ class RunDirectory:
         content = asdict(result)
         content[HASHES] = hash_finished_files(self.path)
         write_json(self.path / RESULT_FILE, content)
-        self.update(status="done", steps=result.steps, **values)
+        self.update_status(status="done", steps=result.steps, **values)
 
     def needs_evaluation(self, config: RunConfig) -> bool:
         """Return whether a finished run was evaluated with other settings than a config has."""
@@ -168,7 +168,7 @@ class RunDirectory:
         # whose reopening was killed is still finished, and is reopened again.
         (self.path / PROVENANCE_FILE).unlink(missing_ok=True)
         (self.path / "video.mp4").unlink(missing_ok=True)
-        self.update(status="pending")
+        self.update_status(status="pending")
 
     @property
     def is_evaluated_again(self) -> bool:
@@ -188,7 +188,7 @@ class RunDirectory:
     def begin(self) -> None:
         """Record that this process, which holds the supervisor lock, begins or resumes the run."""
         (self.path / TRACEBACK_FILE).unlink(missing_ok=True)
-        self.update(
+        self.update_status(
             status="running",
             error=None,
             killed=None,

@@ -57,12 +57,12 @@ def changed_files(run_dir: Path) -> list[str]:
     for folder in find_evaluations(run_dir):
         summary = folder / SUMMARY_FILE
         if read_object(summary):
-            changed += _changed(evaluation_files(folder), summary)
+            changed += _find_changed(evaluation_files(folder), summary)
         else:
             changed.append(summary)
     entries, _ = read_entries(run_dir / STATUS_FILE, StatusEntries)
     if entries.get("status") == "done":
-        changed += _changed(_finished_files(run_dir), run_dir / RESULT_FILE)
+        changed += _find_changed(_finished_files(run_dir), run_dir / RESULT_FILE)
     return [str(file.relative_to(run_dir)) for file in changed]
 
 
@@ -78,7 +78,7 @@ def _finished_files(run_dir: Path) -> list[Path]:
     return [file for file in files if file.is_file()]
 
 
-def _changed(files: Iterable[Path], record: Path) -> list[Path]:
+def _find_changed(files: Iterable[Path], record: Path) -> list[Path]:
     """Return the files that do not have the hashes of a record in their folder, if it has any."""
     hashes = read_object(record).get(HASHES)
     if not isinstance(hashes, dict):

@@ -45,15 +45,15 @@ def _distinct(folder: Path, *patterns: str) -> list[Path]:
 
 
 def find_run(
-    name: str, output_dir: Path, having: str, others: Sequence[str], key: str = "run"
+    name: str, output_dir: Path, required_file: str, other_names: Sequence[str], key: str = "run"
 ) -> RunDirectory:
     """Find a run by its directory, its MLflow run id, or `latest`.
 
     Args:
         name: the name of the run.
         output_dir: where it is looked for.
-        having: a file of runs; `latest` is the one whose file was written last.
-        others: other valid names, one at least, for suggestions.
+        required_file: a file of runs; `latest` is the one whose file was written last.
+        other_names: other valid names, one at least, for suggestions.
         key: the key of the config that has the name, for messages.
 
     Raises:
@@ -63,20 +63,20 @@ def find_run(
     if (folder / STATUS_FILE).exists():
         return RunDirectory(folder)
     runs = find_runs(output_dir)
-    usable = [path for path in runs if (path / having).exists()]
+    usable = [path for path in runs if (path / required_file).exists()]
     if name == LATEST and usable:
         # A sync or an evaluation changes status.json, and not this file.
-        latest = max(usable, key=lambda path: (path / having).stat().st_mtime)
+        latest = max(usable, key=lambda path: (path / required_file).stat().st_mtime)
         return RunDirectory(latest.absolute())
     for path in runs:
         if RunDirectory(path).run_id == name:
             return RunDirectory(path.absolute())
 
-    choices = [*others, *map(str, runs)]
+    choices = [*other_names, *map(str, runs)]
     if usable:
         choices.insert(0, LATEST)
     hint = did_you_mean(name, choices) or f"; write {key}={choices[0]}"
     raise RunNotFoundError(
         f"{key}={name}: there is no such run directory or MLflow run id; {output_dir} has "
-        f"{plural(len(runs), 'run')}, {len(usable)} with {having}{hint}"
+        f"{plural(len(runs), 'run')}, {len(usable)} with {required_file}{hint}"
     )

@@ -63,7 +63,7 @@ def make_pending(directory: RunDirectory, config: RunConfig, label: str, **entri
         directory.reopen()
     tracking_uri = config.store_uri if config.tracking.mlflow else None
     directory.write_config(config)
-    directory.update(
+    directory.update_status(
         durable=False,
         status="pending",
         error=None,

@@ -33,10 +33,10 @@ class Launcher(Protocol):
         """
 
 
-def launcher_of(
+def make_launcher(
     runs: Sequence[ComposedRun], extra_config_dir: str | None = None, *, connect: bool = False
 ) -> Launcher:
-    """Return the launcher that a command line or its experiment file names, with checked settings.
+    """Make the launcher that a command line or its experiment file names, with checked settings.
 
     Args:
         runs: the runs of one sweep.

@@ -68,13 +68,13 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: StopRequest) -> 
             )
         directory.reserve()
     except (ConfigError, OutputDirectoryError) as error:
-        directory.update(status="failed", error=str(error))
+        directory.update_status(status="failed", error=str(error))
         return "failed"
     # Before the worker starts, whose entries must not be overwritten.
     directory.begin()
     process.start()
     try:
-        directory.update(pid=process.pid)
+        directory.update_status(pid=process.pid)
         cause = _wait(process, config.timeout_s, stop)
     finally:
         if process.exit_status is None:  # an error here: no worker is left without a supervisor
@@ -117,16 +117,18 @@ def _record_end(
     if code == LOCKED_EXIT:
         return "elsewhere"
     if cause == "late":
-        directory.update(status="failed", error=f"ran past timeout_s={timeout_s:g}", killed=None)
+        directory.update_status(
+            status="failed", error=f"ran past timeout_s={timeout_s:g}", killed=None
+        )
         return "failed"
     if status == "failed":
         return "failed"
     if cause == "stopped" or status == "interrupted":
-        directory.update(status="interrupted")
+        directory.update_status(status="interrupted")
         return "stopped"
     was_killed = code == SERVER_LOST or -code in KILLS
     reason = _describe_exit(directory, code)
-    directory.update(status="failed", error=reason, killed=was_killed or None)
+    directory.update_status(status="failed", error=reason, killed=was_killed or None)
     return "failed"
 
 

@@ -212,7 +212,7 @@ def _write_plans(runs: Sequence[PlannedRun]) -> None:
             )
         elif run.state.cell_number is None:
             with suppress(OSError):  # a directory that can't be written keeps its order
-                directory.update(durable=False, cell_number=run.cell_number)
+                directory.update_status(durable=False, cell_number=run.cell_number)
         adopt_store(directory, run.config)
     tracking = [run.config.tracking for run in runs if run.is_due]
     if any(options.mlflow and options.uri is None for options in tracking):

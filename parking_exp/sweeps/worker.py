@@ -67,7 +67,7 @@ def _train(directory: RunDirectory, n_threads: int) -> int:
         return LOCKED_EXIT
     except ParkingError as error:
         if not isinstance(error, FailedRunError):  # which training has recorded
-            directory.update(status="failed", error=str(error))
+            directory.update_status(status="failed", error=str(error))
         say(f"error: {error}", stderr=True)
         return 2
     return 0

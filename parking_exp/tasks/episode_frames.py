@@ -32,20 +32,20 @@ def episode_frames(
     ending = cut
     frames = draw()
     for frame in frames:
-        yield _captioned(frame, caption)
+        yield _write_caption(frame, caption)
 
     for _, _, step in steps:
         frames = draw()
         for frame in frames:
-            yield _captioned(frame, caption)
+            yield _write_caption(frame, caption)
         if step.terminated[0] or step.truncated[0]:
             ending = outcome(failure, step.failed[0], step.is_success[0])
 
-    last = _captioned(frames[-1], f"{caption}: {ending}")
+    last = _write_caption(frames[-1], f"{caption}: {ending}")
     yield from [last] * round(LAST_FRAME_S * frame_rate)
 
 
-def _captioned(frame: np.ndarray, text: str) -> np.ndarray:
+def _write_caption(frame: np.ndarray, text: str) -> np.ndarray:
     """Return a frame with a text in its corner."""
     image = Image.fromarray(frame)
     ImageDraw.Draw(image).text(

@@ -65,7 +65,10 @@ class GoalInfo(gym.Wrapper):
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def close(self) -> None:
-        """Close the env and that of its reward; errors are ignored: all that was asked is done."""
+        """Close the env and that of its reward.
+
+        An error of the env's own `close` is ignored, since its work is done.
+        """
         with suppress(Exception):
             self.env.close()
         self.goal_reward.close()

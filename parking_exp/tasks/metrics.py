@@ -52,8 +52,9 @@ class Metric:
 
     @property
     def key(self) -> str:
-        """Name in the summary of an evaluation, e.g. `success_rate`; the store has it as
-        `certified/success_rate`.
+        """Name in the summary of an evaluation, e.g. `success_rate`.
+
+        The store puts the phase before it: `final/success_rate`.
         """
         return f"{self.name}_{'rate' if self.is_rate else 'mean'}"
 

@@ -20,7 +20,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import make_console, say
 from parking_exp.tracking.client import lock_path, write_lock
-from parking_exp.tracking.store import EXPERIMENTS, OUTPUT_DIR_TAG, Store
+from parking_exp.tracking.store import MAX_EXPERIMENTS, OUTPUT_DIR_TAG, Store
 from parking_exp.tracking.write_run import write_new_run
 
 FEW_RUNS = 20  # are written in a second or two
@@ -95,7 +95,7 @@ def _is_usable(path: Path) -> bool:
         return False
     store = Store(f"{SQLITE}{path}", None)
     try:
-        experiments = store.client.search_experiments(max_results=EXPERIMENTS)
+        experiments = store.client.search_experiments(max_results=MAX_EXPERIMENTS)
     except Exception as error:
         text = reason_of_store_failure(error)
         if "out-of-date database schema" in text:  # MLflow adds what an older one lacks
@@ -141,7 +141,7 @@ def _refuse_content_of_others(store: Store, path: Path) -> None:
     """Raise StoreError if a store has runs that are not of the run directories beside it."""
     from mlflow.entities import ViewType
 
-    experiments = store.client.search_experiments(ViewType.ALL, max_results=EXPERIMENTS)
+    experiments = store.client.search_experiments(ViewType.ALL, max_results=MAX_EXPERIMENTS)
     for run in store.search([experiment.experiment_id for experiment in experiments]):
         run_dir = run.data.tags.get("run_dir")
         if run_dir is None or Path(run_dir).is_absolute():

@@ -36,7 +36,7 @@ located.
 METRICS_PER_BATCH = 800
 PARAMS_PER_BATCH = 100
 RUNS_PER_PAGE = 10_000  # one request for most stores
-EXPERIMENTS = 50_000  # MLflow's limit
+MAX_EXPERIMENTS = 50_000  # MLflow's limit
 
 
 class Store:
@@ -102,7 +102,7 @@ class Store:
 
     def experiment_ids(self) -> dict[str, str]:
         """Return the ids of all experiments that are not deleted, by name."""
-        experiments = self.client.search_experiments(max_results=EXPERIMENTS)
+        experiments = self.client.search_experiments(max_results=MAX_EXPERIMENTS)
         return {experiment.name: experiment.experiment_id for experiment in experiments}
 
     def runs(self, experiment_ids: Iterable[str]) -> "list[Run]":

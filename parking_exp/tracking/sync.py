@@ -62,7 +62,7 @@ def adopt_store(directory: RunDirectory, config: RunConfig) -> None:
     tracked_in = directory.tracking_uri
     is_chosen = config.tracking.uri is not None
     if tracked_in is None or (is_chosen and not is_same_store(tracked_in, config.store_uri)):
-        directory.update(tracking_uri=config.store_uri)
+        directory.update_status(tracking_uri=config.store_uri)
 
 
 def sync_missing(

@@ -127,7 +127,7 @@ def _record_id(directory: RunDirectory, run: "Run", uri: str) -> None:
     """Record which run of which store a run directory is."""
     run_id = run.info.run_id
     if directory.run_id != run_id or directory.tracking_uri != uri:
-        directory.update(run_id=run_id, tracking_uri=uri)
+        directory.update_status(run_id=run_id, tracking_uri=uri)
 
 
 def _write_content(store: Store, run: "Run", snapshot: RunSnapshot) -> None:

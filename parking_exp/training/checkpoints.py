@@ -78,7 +78,7 @@ def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
 
 
 def save(
-    directory: Path,
+    checkpoints_dir: Path,
     model: OffPolicyAlgorithm,
     policy_ema: PolicyEMA,
     progress: SavedProgress,
@@ -87,19 +87,20 @@ def save(
 ) -> Path:
     """Write a checkpoint, and delete all but the last `keep_last`.
 
-    It has copies of the run's logs and of its best model, the file `best`.
+    The folder `checkpoints_dir` lies in the run directory, whose logs are copied, too. So is the
+    file `best`, the best model.
 
     Raises:
         OSError: the disk is full; earlier checkpoints are untouched.
     """
-    target = directory / checkpoint_name(progress.step)
+    target = checkpoints_dir / checkpoint_name(progress.step)
     with _new_directory(target) as folder:
         _write_zip(model, folder / MODEL)
         with (folder / BUFFER).open("wb") as file:
             np.savez(file, allow_pickle=False, **_buffer_state(model.replay_buffer))
         if best.exists():
             shutil.copyfile(best, folder / BEST)
-        copy_logs(directory.parent, folder)
+        copy_logs(checkpoints_dir.parent, folder)
         attributes = {name: getattr(model, name) for name in ATTRIBUTES}
         recent = {name: getattr(model, name) or () for name in RECENT}
         state = {
@@ -110,7 +111,7 @@ def save(
         }
         torch.save(to_tensors(state), folder / STATE)
 
-    folders = find_checkpoints(directory)
+    folders = find_checkpoints(checkpoints_dir)
     number = folders.index(target) + 1
     # A later step is of a checkpoint that was damaged when the run was resumed.
     for outdated in folders[: max(0, number - keep_last)] + folders[number:]:
@@ -118,9 +119,9 @@ def save(
     return target
 
 
-def latest(directory: Path) -> Path | None:
+def latest(checkpoints_dir: Path) -> Path | None:
     """Return the newest intact checkpoint, or None."""
-    for folder in reversed(find_checkpoints(directory)):
+    for folder in reversed(find_checkpoints(checkpoints_dir)):
         problem = checkpoint_problem(folder)
         if problem is None:
             return folder

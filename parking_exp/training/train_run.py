@@ -57,7 +57,7 @@ def train_run(
         with torch_settings(config):
             return _train_and_evaluate(config, directory, stop, on_saved, trackers)
     except (InterruptedRunError, KeyboardInterrupt):
-        directory.update(status="interrupted")
+        directory.update_status(status="interrupted")
         raise
     except BaseException as error:
         _record_failure(error, directory)
@@ -115,7 +115,7 @@ def _train_and_evaluate(
 def _record_failure(error: BaseException, directory: RunDirectory) -> None:
     """Record status and traceback, as far as a full disk allows."""
     try:
-        directory.update(status="failed", error=f"{type(error).__name__}: {error}")
+        directory.update_status(status="failed", error=f"{type(error).__name__}: {error}")
         text = "".join(traceback.format_exception(error))
         write_atomically(directory.path / TRACEBACK_FILE, text)
     except Exception as second_error:  # the first is reported

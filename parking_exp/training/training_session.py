@@ -81,7 +81,7 @@ class TrainingSession(RunSession):
             # An attempt that was killed before its first checkpoint may have left one.
             self._best.unlink(missing_ok=True)
             if config.init is not None:
-                directory.update(init_sha256=warm_start.load_source(config, self.model))
+                directory.update_status(init_sha256=warm_start.load_source(config, self.model))
             if config.buffer.demonstrations:
                 self._add_demonstrations()
         else:

@@ -19,7 +19,7 @@ from parking_exp.evaluation.init_sources import fix_source
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.lookup import LATEST
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
-from parking_exp.tuning.study import OpenStudy, open_study, storage_of, study_errors
+from parking_exp.tuning.study import OpenStudy, open_storage, open_study, study_errors
 from parking_exp.tuning.trials import RetestedTrial, TrialRow, read_retest, read_trials
 
 SEARCH_FILE = "search.json"
@@ -104,7 +104,7 @@ class Search:
         problems = []
         for key, dimension in space.items():
             for changes in self._options_for(key):
-                for value in dimension.ends:
+                for value in dimension.values_to_check:
                     try:
                         self.config({**changes, key: value})
                     except ConfigError as error:
@@ -118,7 +118,7 @@ class Search:
         dimension = self.request.search.space.get(group)
         if group == key or dimension is None:
             return [{}]
-        return [{group: option} for option in dimension.ends]
+        return [{group: option} for option in dimension.values_to_check]
 
     def open(self) -> OpenStudy:
         """Return the study; create it, and its folder, if there is none yet."""
@@ -135,7 +135,7 @@ class Search:
         """
         keys = {}
         for group, dimension in self.request.search.space.items():
-            for option in dimension.ends if group in GROUPS else []:
+            for option in dimension.values_to_check if group in GROUPS else []:
                 config = self.config({group: option}).model_copy(update={"seed": 0})
                 keys[f"{group}={option}"] = config.run_key
         return keys
@@ -170,7 +170,7 @@ def read_search(folder: Path) -> StoredSearch | None:
     Raises:
         ConfigError: its settings are damaged.
         StoreError: its trials are damaged.
-        UntrustedError: see `storage_of`.
+        UntrustedError: see `open_storage`.
     """
     content = read_object(folder / SEARCH_FILE)
     if not content:
@@ -179,7 +179,7 @@ def read_search(folder: Path) -> StoredSearch | None:
 
     stored = parse_plain(SearchFile, content)
     with study_errors(folder.name):
-        study = optuna.load_study(study_name=folder.name, storage=storage_of(folder))
+        study = optuna.load_study(study_name=folder.name, storage=open_storage(folder))
         retested = read_retest(folder)
     return StoredSearch(
         experiment=folder.name,

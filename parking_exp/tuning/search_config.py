@@ -45,7 +45,7 @@ class Dimension(ConfigModel):
         return self
 
     @property
-    def ends(self) -> list[Any]:
+    def values_to_check(self) -> list[Any]:
         """Values to validate: both ends of a range, or every choice."""
         return self.choices or self.log or self.uniform or self.whole or []
 
@@ -60,7 +60,7 @@ class Dimension(ConfigModel):
 
         if self.choices is not None:
             return CategoricalDistribution([_choice_text(choice) for choice in self.choices])
-        low, high = self.ends
+        low, high = self.values_to_check
         if self.whole:
             return IntDistribution(low, high)
         return FloatDistribution(low, high, log=self.log is not None)
@@ -71,7 +71,7 @@ class Dimension(ConfigModel):
             if value not in self.choices:
                 return None
             return _choice_text(self.choices[self.choices.index(value)])
-        low, high = self.ends
+        low, high = self.values_to_check
         is_inside = isinstance(value, int | float) and low <= value <= high
         return value if is_inside else None
 

@@ -73,8 +73,8 @@ def study_errors(name: str) -> Iterator[None]:
         raise StoreError(f"the study {name} can't be used: {first_line(error)}") from error
 
 
-def storage_of(folder: Path) -> Any:
-    """Return the storage of a study: the journal in the search's folder.
+def open_storage(folder: Path) -> Any:
+    """Open the storage of a study: the journal in the search's folder, which is made if need be.
 
     Raises:
         UntrustedError: a file of the search is a symbolic link that leads out of its folder.
@@ -114,7 +114,7 @@ def open_study(
 
     name = folder.name
     with study_errors(name):
-        storage = storage_of(folder)
+        storage = open_storage(folder)
         with FileLock(folder / CLAIM_LOCK):
             study = optuna.create_study(
                 storage=storage, study_name=name, direction="maximize", load_if_exists=True

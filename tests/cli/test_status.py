@@ -15,7 +15,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.sweep import plan
-from parking_exp.tuning.study import storage_of
+from parking_exp.tuning.study import open_storage
 
 
 def run_dir(output_dir, cell="cell-a", seed=0, **status):
@@ -50,7 +50,7 @@ def test_the_stage_follows_from_status_lock_and_heartbeat(tmp_path):
     assert read_state(running).stage == "pending"  # nobody is at it
     with RunDirectory(running).supervisor_lock():
         state = read_state(running)
-        RunDirectory(running).update(started=time.time() + 1)
+        RunDirectory(running).update_status(started=time.time() + 1)
         restarted = read_state(running)
     progress = (state.step, state.steps_per_s, state.left_s, state.host)
     assert (state.stage, *progress) == ("running", 400, 20.0, 30.0, "here")
@@ -106,7 +106,7 @@ def test_a_damaged_status_affects_only_its_run(tmp_path):
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
     with process.supervisor_lock():
         assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
-    process.update(host="here")
+    process.update_status(host="here")
     assert not read_state(process.path).damaged
 
 
@@ -187,7 +187,7 @@ def test_a_running_run_shows_step_rate_time_left_and_host(smoke, tmp_path):
 def search_in(folder, **stored):
     """Write a search whose study has one trial."""
     study = optuna.create_study(
-        study_name=folder.name, storage=storage_of(folder), direction="maximize"
+        study_name=folder.name, storage=open_storage(folder), direction="maximize"
     )
     study.add_trial(optuna.trial.create_trial(value=0.5))
     write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, **stored})

@@ -108,10 +108,10 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     (*_, row) = done.stdout.splitlines()
     assert row.split()[-7] == "vehicles_count=20"  # named, where it is the only one
     assert "name" in refusal("evaluate", *arguments, "name=same")
-    RunDirectory(twin).update(status="failed")
+    RunDirectory(twin).update_status(status="failed")
     done = call_script("evaluate", *arguments[:-1])
     assert "1 unfinished run" in done.stdout
-    RunDirectory(smoke_copy.path).update(status="running")
+    RunDirectory(smoke_copy.path).update_status(status="running")
     assert "none of its 2 runs is finished" in refusal("evaluate", *arguments)
 
 

@@ -118,7 +118,7 @@ def behind(empty):
     with copy_of(empty) as folder:
         runs = make_store(folder, "one", ALGORITHMS, range(4), look)
         for seed in (1, 3):
-            runs["sac", seed].update(status="failed", error="it was killed")
+            runs["sac", seed].update_status(status="failed", error="it was killed")
         (runs["sac", 3].path / "config.yaml").write_text("no config")
         assert set(load("one", output_dir=folder).runs["status"]) == {"done", "running"}
         yield report(folder, "experiment=one", "report=quick"), folder, runs
@@ -260,7 +260,7 @@ def test_an_experiment_has_to_be_named_if_there_are_several(made):
 def test_a_store_given_by_its_uri_is_only_read(output_dir, tmp_path):
     uri = f"sqlite:///{output_dir}/mlflow.db"
     runs = make_store(tmp_path, "one", {"sac": []}, range(2), uri=uri)
-    runs["sac", 1].update(status="failed", error="it was killed")
+    runs["sac", 1].update_status(status="failed", error="it was killed")
     before = (output_dir / "mlflow.db").read_bytes()
     report(tmp_path, "experiment=one", "report=quick", f"tracking.uri={uri}")
     assert (output_dir / "mlflow.db").read_bytes() == before

@@ -25,7 +25,7 @@ from parking_exp.reports.sections import SECTIONS, draw_figures, section_content
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import SeedRates, compare, mean_interval
 from parking_exp.tuning.search import read_search
-from parking_exp.tuning.study import storage_of
+from parking_exp.tuning.study import open_storage
 
 SPACE = {
     "algorithm.learning_rate": {"log": [1e-4, 1e-2]},
@@ -53,7 +53,7 @@ def trial(*values, rate=1e-3, buffer="her_future", **attributes):
 def add(folder, *trials):
     """Add trials to the study of a folder."""
     optuna.create_study(
-        study_name="smoke", storage=storage_of(folder), direction="maximize", load_if_exists=True
+        study_name="smoke", storage=open_storage(folder), direction="maximize", load_if_exists=True
     ).add_trials(trials)
 
 

@@ -171,7 +171,7 @@ def test_runs_that_are_not_done_have_what_they_came_to_and_no_final_numbers(abla
     assert unfinished["status"].tolist() == ["failed", "running", "interrupted"]
     assert unfinished["steps"].tolist() == [200, 200, 0]
     assert unfinished["cpu_s"].tolist()[:2] == [150.0, 150.0]
-    assert unfinished[[*frames.FINAL.values()]].isna().all(axis=None)
+    assert unfinished[[*frames.FINAL_COLUMNS.values()]].isna().all(axis=None)
     assert unfinished["error"].tolist()[0] == "ValueError: <b> no"
     assert unfinished["error"].isna().tolist() == [False, True, True]
     assert unfinished["ended"].isna().tolist() == [False, True, False]
@@ -261,7 +261,7 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
     assert {name: run[name] for name in expected} == expected
     assert pd.isna(run["error"])
     assert run["started"] < run["ended"]
-    for key, name in {**frames.FINAL, **frames.COST}.items():
+    for key, name in {**frames.FINAL_COLUMNS, **frames.COST_COLUMNS}.items():
         assert run[name] == latest[key] if key in latest else np.isnan(run[name])
     evaluations = log.frame().dropna(subset="eval/success_rate")
     assert results.curves["step"].tolist() == evaluations["step"].tolist()

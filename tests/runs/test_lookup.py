@@ -30,7 +30,7 @@ def refusal(name, output_dir):
 
 def test_a_run_is_found_by_its_directory(output_dir):
     path = output_dir / "sweep" / "cell" / "seed=1"
-    assert find_run(str(path), output_dir, "x", others=()).path == path
+    assert find_run(str(path), output_dir, "x", other_names=()).path == path
 
 
 def test_latest_is_the_run_whose_model_was_written_last_even_if_another_was_synced_since(
@@ -41,12 +41,12 @@ def test_latest_is_the_run_whose_model_was_written_last_even_if_another_was_sync
         (run / "models" / "final.zip").touch()
         os.utime(run / "models" / "final.zip", (seconds, seconds))
     os.utime(runs[0] / "status.json")
-    assert find_run("latest", output_dir, "models/final.zip", others=()).path == runs[1]
+    assert find_run("latest", output_dir, "models/final.zip", other_names=()).path == runs[1]
 
 
 def test_an_unknown_name_is_refused_with_suggestions(output_dir):
     latest = output_dir / "sweep" / "cell" / "seed=0"
-    assert find_run("latest", output_dir, "models/final.zip", others=()).path == latest
+    assert find_run("latest", output_dir, "models/final.zip", other_names=()).path == latest
     assert refusal("nothing", output_dir) == (
         f"run=nothing: there is no such run directory or MLflow run id; {output_dir} has 2 runs, "
         "1 with models/final.zip; "
@@ -70,7 +70,7 @@ def test_the_name_of_an_agent_or_of_the_latest_run_is_suggested(name, meant, out
 
 def test_the_run_that_latest_chose_is_named(tmp_path, capsys):
     directory = finished_run(tmp_path, seed=3)
-    directory.update(label="n_sampled_goal=8")
+    directory.update_status(label="n_sampled_goal=8")
     directory.models.mkdir()
     (directory.models / "final.zip").touch()
     assert find_agent("latest", tmp_path).folder == directory.path

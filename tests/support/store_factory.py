@@ -197,7 +197,7 @@ def _write(directory, config, look, label, uri):
         latest = {key: value for line in lines for key, value in line["metrics"].items()}
         directory.finish(RunResult(str(path), None, config.total_timesteps, latest), **entries)
         return
-    directory.update(status=look.status, error=look.error, **entries)
+    directory.update_status(status=look.status, error=look.error, **entries)
     if lines:  # a checkpoint, without which the store gets no metrics yet
         folder = directory.checkpoints / f"step={lines[-1]['step']:010d}"
         folder.mkdir(parents=True)

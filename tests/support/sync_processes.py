@@ -83,7 +83,7 @@ def train(directory, rows, checkpoints):
         for _ in range(checkpoints):
             grow(directory, rows)
             sync(directory)
-        directory.update(status="done")
+        directory.update_status(status="done")
         sync(directory)
 
 

@@ -23,7 +23,7 @@ def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
     write_json(
         directory.path / "provenance.json", {"started_ms": started_ms, "tags": provenance_tags()}
     )
-    directory.update(status="running", tracking_uri=uri or default_uri(output_dir))
+    directory.update_status(status="running", tracking_uri=uri or default_uri(output_dir))
     return directory
 
 

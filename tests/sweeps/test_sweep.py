@@ -26,7 +26,7 @@ from parking_exp.config.compose import compose_runs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import read_state
-from parking_exp.sweeps.launchers import launcher_of
+from parking_exp.sweeps.launchers import make_launcher
 from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.sweep import plan
@@ -40,7 +40,7 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
     _, failed = plan(compose_runs("config", list(command[1:])))
     directory = RunDirectory(failed.path)
     write_plan(directory, failed.config, failed.label, None)
-    directory.update(status="failed", error="a bad day")
+    directory.update_status(status="failed", error="a bad day")
     first = call_script(*command, *TWO, code=2)
     assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "done", "error:"]
     assert first.stderr.endswith(
@@ -172,7 +172,7 @@ def test_the_monitor_tells_whether_a_stopped_run_has_a_checkpoint(tmp_path):
     with Monitor(lambda: [run.path], 1, out):
         for _ in range(2):
             with directory.supervisor_lock():
-                directory.update(status="running")
+                directory.update_status(status="running")
                 wait_until(lambda: lines()[-1:] == ["started  her seed=0"])
             wait_until(lambda: lines()[-1].startswith("stopped"))
             (run.path / "checkpoints" / "step=300").mkdir(parents=True, exist_ok=True)
@@ -271,7 +271,8 @@ def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted():
         "hydra.launcher.parameters.slurm_qos=high",
         "+hydra.launcher.parameters.slurm_nodelist=n1",
     )
-    assert launcher_of(compose_runs("config", [*SLURM, *keys])).parameters["slurm_nodelist"] == "n1"
+    launcher = make_launcher(compose_runs("config", [*SLURM, *keys]))
+    assert launcher.parameters["slurm_nodelist"] == "n1"
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from shapely import box
 from support.shapes import polygon
 
 from parking_exp.config.compose import compose
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, moved_ahead
+from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, move_ahead
 from parking_exp.tasks.parking.free_space import FreeSpace
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, OBSTACLE_M
 from parking_exp.tasks.parking.lot import lot_of
@@ -22,7 +22,7 @@ LOTS = (
 
 def touches(scenes, pose, **arguments):
     """Return whether a car touches something when its middle is at a pose."""
-    rear = moved_ahead(pose[None], -REAR_AXLE_M)
+    rear = move_ahead(pose[None], -REAR_AXLE_M)
     return not FreeSpace(scenes, **arguments).contains(rear)
 
 

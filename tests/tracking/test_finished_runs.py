@@ -171,12 +171,12 @@ def test_a_run_is_done_in_the_store_once_all_of_it_is_there(output_dir, monkeypa
 
 def test_a_finished_run_has_its_success_rate_in_front_of_its_name(output_dir):
     directory = finished_run(output_dir)
-    directory.update(success_rate=0.9876)
+    directory.update_status(success_rate=0.9876)
     sync(directory)
     config, client = directory.config(), store(output_dir)
     assert client.get_run(directory.run_id).info.run_name == f"98.8% {config.cell_name}-seed=0"
     client.update_run(directory.run_id, name="mine")
-    directory.update(command="another")
+    directory.update_status(command="another")
     sync(directory)
     assert client.get_run(directory.run_id).info.run_name == "mine"
 
@@ -223,7 +223,7 @@ def test_a_run_that_is_evaluated_again_keeps_its_results_in_the_store_until_that
     finished.reopen()
     sync(finished)
     write_json(finished.path / "provenance.json", {"started_ms": 1_800_000_000_000, "tags": {}})
-    finished.update(status=status)
+    finished.update_status(status=status)
     sync(finished)
     assert finished.run_id == run_id
     assert stored_files(finished) == before

@@ -99,7 +99,7 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
 ):
     uri = uri_of(listener)
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
-    foreign.update(tracking_uri=uri)
+    foreign.update_status(tracking_uri=uri)
     done = call_script("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path, code=0)
     assert f"tracking.uri={uri} sends the results there" in done.stdout
     assert (foreign.path / "evaluations" / "again" / "summary.json").exists()
@@ -170,7 +170,7 @@ def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, na
         "cpu": 5,
     }
     if named_in == "status.json":
-        directory.update(run_id=victim.run_id)
+        directory.update_status(run_id=victim.run_id)
     else:
         write_json(
             directory.path / named_in, {"started_ms": 5, "tags": {**tags, "version.torch": "9"}}

@@ -58,7 +58,7 @@ def test_a_run_without_an_owner_is_taken_by_the_same_training_alone(central, tmp
     client = Store(central, None).client
     client.delete_tag(directory.run_id, "output_id")  # as earlier versions left it
     run_id = directory.run_id
-    directory.update(command="another")
+    directory.update_status(command="another")
     sync(directory)
     assert directory.run_id == run_id
     client.delete_tag(run_id, "output_id")

@@ -32,7 +32,7 @@ def test_a_failed_store_is_named_once_and_a_run_tries_it_again_after_a_pause(
 
     blocked.unlink()
     writer.sync(first)
-    first.update(status="interrupted")
+    first.update_status(status="interrupted")
     writer.sync(first)
     assert first.run_id is None
     clock.monotonic = lambda: 1000.0 + store_writer.PAUSE_S

@@ -216,14 +216,14 @@ def test_a_failed_run_has_its_error_in_the_store_until_it_is_resumed(output_dir)
     grow(directory, rows=20)
     grow(directory, rows=7, checkpoint=False)
     (directory.path / "traceback.txt").write_text("Traceback")
-    directory.update(status="failed", error="ValueError: a loss\n  of NaN " + 500 * "x")
+    directory.update_status(status="failed", error="ValueError: a loss\n  of NaN " + 500 * "x")
     sync(directory)
     assert stored_points(output_dir, directory.run_id) == local_points(directory, up_to=20)
     assert stored_status(directory) == ("FAILED", "failed")
     error = stored_run(directory).data.tags["error"]
     assert error == "ValueError: a loss of NaN " + 474 * "x"
     assert "traceback.txt" in artifacts(client, directory.run_id)
-    directory.update(status="running", error=None)
+    directory.update_status(status="running", error=None)
     with directory.training_lock():
         sync(directory)
     assert stored_run(directory).data.tags["error"] == ""
@@ -247,7 +247,7 @@ def test_what_a_user_logs_tags_or_deletes_in_the_store_stays(output_dir):
 
 def test_a_run_has_its_provenance_and_its_command_as_tags(output_dir):
     directory = finished_run(output_dir, started_ms=1234567)
-    directory.update(command="python scripts/train.py experiment=smoke")
+    directory.update_status(command="python scripts/train.py experiment=smoke")
     tags = {**provenance_tags(), "version.torch": "1.2.3", "cpu": "another machine's"}
     write_json(directory.path / "provenance.json", {"started_ms": 1234567, "tags": tags})
     sync(directory)

@@ -53,7 +53,7 @@ def test_the_list_of_runs_shows_their_success_rates(browser, tmp_path):
     with closed_port() as port:
         uri = f"http://127.0.0.1:{port}"
         directory = finished_run(tmp_path, uri=uri)
-        directory.update(success_rate=0.985)
+        directory.update_status(success_rate=0.985)
     with mlflow_server(port, tmp_path):
         sync(directory)
         page = browser.new_page(viewport={"width": 1280, "height": 800})

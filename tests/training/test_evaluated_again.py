@@ -90,7 +90,7 @@ def killed_in_the_final_evaluation(directory):
     (checkpoint,) = directory.checkpoints.glob("step=0000000100")
     restore_logs(directory.path, checkpoint)
     (directory.path / "episodes.csv").open("a").write("final,100,0,")
-    directory.update(status="running")
+    directory.update_status(status="running")
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def test_a_resumed_run_logs_what_comes_after_its_checkpoint(tmp_path, monkeypatc
 @pytest.mark.parametrize("disk_is_full", [False, True])
 def test_a_tracker_learns_that_its_run_has_failed(tmp_path, monkeypatch, disk_is_full):
     run = config(tmp_path, WRITES)
-    update = RunDirectory.update
+    update_status = RunDirectory.update_status
 
     def fail(self):
         raise RuntimeError("a loss of NaN")
@@ -80,10 +80,10 @@ def test_a_tracker_learns_that_its_run_has_failed(tmp_path, monkeypatch, disk_is
     def update_if_there_is_room(self, **entries):
         if disk_is_full and entries.get("status") == "failed":
             raise OSError(errno.ENOSPC, "No space left on device")
-        update(self, **entries)
+        update_status(self, **entries)
 
     monkeypatch.setattr(training_session.TrainingSession, "learn", fail)
-    monkeypatch.setattr(RunDirectory, "update", update_if_there_is_room)
+    monkeypatch.setattr(RunDirectory, "update_status", update_if_there_is_room)
     with pytest.raises(FailedRunError, match="a loss of NaN"):
         train(run)
 

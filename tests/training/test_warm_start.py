@@ -204,7 +204,7 @@ def test_latest_is_what_it_was_when_the_config_was_planned(source):
     assert named.run_key == from_source(source, "experiment_name=finetuned").run_key
     planned = RunDirectory(named.run_dir)
     planned.write_config(named)
-    planned.update(status="done")
+    planned.update_status(status="done")
 
     newer = source.path.with_name("seed=1")
     shutil.copytree(source.path, newer)

@@ -31,7 +31,7 @@ def training_that_ends_with(calls, **status):
 
     def train(path):
         calls.append(path)
-        RunDirectory(path).update(**status)
+        RunDirectory(path).update_status(**status)
         return "failed"
 
     return train

@@ -126,7 +126,7 @@ def _reeds_shepp_space(radius_m: float) -> Any:
     return base.ReedsSheppStateSpace(radius_m)
 
 
-def moved_ahead(poses: np.ndarray, distance_m: float) -> np.ndarray:
+def move_ahead(poses: np.ndarray, distance_m: float) -> np.ndarray:
     """Return poses that are moved along their headings, shape (..., 3) [m, m, rad]."""
     heading = poses[..., 2]
     moved = poses.copy()

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, moved_ahead
+from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, move_ahead
 from parking_exp.tasks.parking.geometry import (
     CAR_SIZE_M,
     cars_at,
     direction_of,
     extent,
-    joined,
+    join_rectangles,
     may_overlap,
     obstacles_at,
 )
@@ -30,15 +30,16 @@ class FreeSpace:
         self._margin_m = margin_m
         vehicles = scenes.vehicle_pose
         parked_cars = cars_at(vehicles[..., :2], vehicles[..., 2])
-        others = joined([parked_cars, obstacles_at(scenes.obstacles)])
-        # The axes are x and y, or length and width; poses of the car; others.
+        others = join_rectangles([parked_cars, obstacles_at(scenes.obstacles)])
+        # Shape (2, 1, others): x and y, or length and width. The second axis is for poses of the
+        # car.
         self._centre = others.centre.T.swapaxes(1, 2)
         self._direction = direction_of(others.heading)
         self._half_size = others.size.T.swapaxes(1, 2) / 2
 
     def contains(self, poses: np.ndarray) -> bool:
         """Return whether a car fits at all poses of its rear axle, shape (n, 3) [m, m, rad]."""
-        x, y, heading = moved_ahead(poses, REAR_AXLE_M).T
+        x, y, heading = move_ahead(poses, REAR_AXLE_M).T
         position = np.stack([x, y])
         direction = direction_of(heading)
         if self._walls:

@@ -113,7 +113,7 @@ def direction_of(heading: np.ndarray) -> np.ndarray:
     return direction
 
 
-def in_frame(vector: Vectors, direction: Vectors) -> np.ndarray:
+def in_frame(vector: Vectors, direction: Vectors | tuple[float, float]) -> np.ndarray:
     """Return vectors along and across some directions, all of shape (2, ...)."""
     x, y = vector
     cos, sin = direction
@@ -162,7 +162,7 @@ def walls_around(free: np.ndarray) -> Rectangles:
     return Rectangles(half * WALL_SIDES, heading, size)
 
 
-def joined(parts: Sequence[Rectangles]) -> Rectangles:
+def join_rectangles(parts: Sequence[Rectangles]) -> Rectangles:
     """Return some scenes' rectangles as one, shape (n, R); the parts are (n, their number)."""
     return Rectangles(
         centre=np.concatenate([part.centre for part in parts], axis=1),

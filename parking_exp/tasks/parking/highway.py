@@ -102,9 +102,9 @@ def _observe(sensor: Any) -> dict[str, np.ndarray]:
     }
 
 
-def _scaled_features(sensor: Any, thing: Any) -> np.ndarray:
+def _scaled_features(sensor: Any, road_object: Any) -> np.ndarray:
     """Return the features of a car or a goal, shape (6,)."""
-    values = thing.to_dict()
+    values = road_object.to_dict()
     return np.array([values[name] for name in sensor.features]) / sensor.scales
 
 

@@ -186,8 +186,8 @@ class SeveralLots(SampledLot):
         lot_index = (draws[:, 0] * len(self.lots)).astype(np.int64)
         parts = []
         for index, lot in enumerate(self.lots):
-            of_lot = draws[lot_index == index, 1 : 1 + lot.n_draws]
-            parts.append(self._pad(lot.scenes(of_lot)))
+            lot_draws = draws[lot_index == index, 1 : 1 + lot.n_draws]
+            parts.append(self._pad(lot.scenes(lot_draws)))
         # From the order of the lots back to that of the scenes.
         place = np.argsort(np.argsort(lot_index, kind="stable"))
         arrays = {}

@@ -157,13 +157,13 @@ class LotConfig(ConfigModel):
         ranges = [bounds(getattr(self, name)) for name in DIMENSIONS]
         return np.array(ranges, dtype=np.float64).T
 
-    def vehicles_range(self, of_env: Any) -> tuple[int, int]:
+    def vehicles_range(self, env_count: Any) -> tuple[int, int]:
         """Return the lowest and the highest number of parked cars of a scene.
 
-        `of_env` is the `vehicles_count` of the env, for a lot that has none.
+        `env_count` is the `vehicles_count` of the env, for a lot that has none.
         """
         if self.vehicles_count is None:
-            return bounds(of_env)
+            return bounds(env_count)
         return bounds(self.vehicles_count)
 
     def dimensions(self, shares: np.ndarray) -> LotDimensions:

@@ -11,6 +11,7 @@ from parking_exp.tasks.parking.geometry import (
     CAR_WIDTH_M,
     SLOT_LENGTH_M,
     SLOT_WIDTH_M,
+    in_frame,
 )
 
 PARKED_HEADING_RAD = math.radians(10.0)
@@ -74,12 +75,9 @@ def pose_in_slot(
     Positions are (x, y), the slot's size is its length and width,
     by default that of highway-env's slots; each has the shape (2,).
     """
-    dx, dy = position - goal_position
-    cos = math.cos(goal_heading)
-    sin = math.sin(goal_heading)
+    direction = (math.cos(goal_heading), math.sin(goal_heading))
+    ahead, side = in_frame(position - goal_position, direction)
     error = (heading - goal_heading + math.pi) % (2 * math.pi) - math.pi
-    ahead = dx * cos + dy * sin
-    side = dy * cos - dx * sin
     return PoseInSlot(
         ahead_m=float(ahead),
         side_m=float(side),

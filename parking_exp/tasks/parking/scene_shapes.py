@@ -20,13 +20,13 @@ def scene_shapes(scenes: Scenes, row: int, *, walls: bool) -> dict[str, np.ndarr
     obstacles = np.insert(scenes.obstacles[row], 2, 0.0, axis=1)  # their headings
     around = walls_around(scenes.free[:, [row]])
     wall_poses = np.column_stack([around.centre[0], around.heading[0]])
-    of_walls = _with_sizes(wall_poses, around.size[0])
+    wall_shapes = _with_sizes(wall_poses, around.size[0])
     return {
         "car": _with_sizes(scenes.start[row], CAR_SIZE_M),
         "goal": slots[scenes.goal[row]],
         "slots": slots,
         "parked_cars": _with_sizes(cars, CAR_SIZE_M),
-        "walls": of_walls if walls else of_walls[:0],
+        "walls": wall_shapes if walls else wall_shapes[:0],
         "obstacles": _with_sizes(obstacles, OBSTACLE_SIZE_M),
     }
 

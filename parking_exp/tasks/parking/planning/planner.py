@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, moved_ahead
+from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, move_ahead
 from parking_exp.tasks.parking.free_space import FreeSpace
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
 from parking_exp.tasks.parking.lot import lot_of
@@ -142,8 +142,8 @@ class Planner(ScriptedPolicy):
         # The numbers of a scene do not depend on the scenes before it.
         (path_seed,) = np.random.SeedSequence([self.seed, seed]).generate_state(1).tolist()
         return plan_path(
-            moved_ahead(scenes.start[0], -REAR_AXLE_M),
-            moved_ahead(scenes.goal_pose[0], -REAR_AXLE_M),
+            move_ahead(scenes.start[0], -REAR_AXLE_M),
+            move_ahead(scenes.goal_pose[0], -REAR_AXLE_M),
             free_space,
             planner=self._planner,
             radius_m=RESERVE / self._max_curvature,

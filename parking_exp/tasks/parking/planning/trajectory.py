@@ -35,13 +35,13 @@ def make_trajectory(path: np.ndarray, pace: Pace) -> np.ndarray:
     """
     parts = []
     if len(path) > 1:
-        parts = [_part(poses, forward, pace) for poses, forward in _directed(path)]
+        parts = [_drive_part(poses, forward, pace) for poses, forward in _split_by_direction(path)]
     x, y, heading = path[-1]
     parts.append(np.array([[x, y, heading, 0.0, 0.0, 0.0, 1.0]]))  # stand
     return np.concatenate(parts)
 
 
-def _directed(path: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+def _split_by_direction(path: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
     """Yield the parts of a path without a change of direction, and the direction of each."""
     way = np.diff(path[:, :2], axis=0)
     heading = (path[:-1, 2] + path[1:, 2]) / 2
@@ -54,11 +54,11 @@ def _directed(path: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
         yield path[first : last + 1], float(forward[first])
 
 
-def _part(poses: np.ndarray, forward: float, pace: Pace) -> np.ndarray:
+def _drive_part(poses: np.ndarray, forward: float, pace: Pace) -> np.ndarray:
     """Return the trajectory of a part in one direction, from standstill to standstill."""
     steps_m = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     distance = np.concatenate([[0.0], np.cumsum(steps_m)])
-    speed = _speeds(distance[-1], pace)
+    speed = _plan_speeds(distance[-1], pace)
     covered = (speed[:-1] + speed[1:]) / 2 * pace.step_s
     reached = np.concatenate([[0.0], np.cumsum(covered)])
 
@@ -72,7 +72,7 @@ def _part(poses: np.ndarray, forward: float, pace: Pace) -> np.ndarray:
     return part[:-1]
 
 
-def _speeds(distance: float, pace: Pace) -> np.ndarray:
+def _plan_speeds(distance: float, pace: Pace) -> np.ndarray:
     """Return speeds at policy steps that cover a distance, the first and the last of them 0."""
     fastest = min(pace.speed_mps, STEP_M / pace.step_s)
     n = 2

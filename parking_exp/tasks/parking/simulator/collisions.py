@@ -25,7 +25,7 @@ from parking_exp.tasks.parking.geometry import (
     WALL_SIDES,
     corners,
     extent,
-    joined,
+    join_rectangles,
     obstacles_at,
     walls_around,
 )
@@ -118,7 +118,7 @@ class Collisions:
         parts = [obstacles_at(state.obstacles)]
         if self.n_walls:
             parts.insert(0, walls_around(state.free))
-        rectangles = joined(parts)
+        rectangles = join_rectangles(parts)
         heading = rectangles.heading
         direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         length, width = np.moveaxis(rectangles.size, -1, 0)

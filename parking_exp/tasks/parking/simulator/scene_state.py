@@ -11,7 +11,7 @@ from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_S
 from parking_exp.tasks.parking.scenes import Scenes
 
 SCALES = np.array(DEFAULT_SCALES, np.float64)
-COLUMNS = ("position", "direction", "free")
+STORED_BY_COLUMN = ("position", "direction", "free")
 # What collisions and driving change.
 MOVING = (
     "position",
@@ -30,7 +30,7 @@ MOVING = (
 class SceneState:
     """The complete state of n scenes.
 
-    Arrays have a row for each scene; those in `COLUMNS` have a column.
+    Arrays have a row for each scene; those in `STORED_BY_COLUMN` have a column.
     """
 
     goal: np.ndarray  # pose of the goal slots, shape (n, 3) [m, m, rad]
@@ -84,7 +84,7 @@ class SceneState:
         """Return the state of some scenes, by index, as a copy."""
         return type(self)(
             **{
-                name: array.take(rows, axis=int(name in COLUMNS))
+                name: array.take(rows, axis=int(name in STORED_BY_COLUMN))
                 for name, array in vars(self).items()
             }
         )
@@ -93,7 +93,7 @@ class SceneState:
         """Replace the state of some scenes, or only what is named."""
         for name in names or vars(self):
             array = getattr(self, name)
-            array[(slice(None), rows) if name in COLUMNS else rows] = getattr(other, name)
+            array[(slice(None), rows) if name in STORED_BY_COLUMN else rows] = getattr(other, name)
 
 
 def scaled_features(position: np.ndarray, direction: np.ndarray, speed: np.ndarray) -> np.ndarray:

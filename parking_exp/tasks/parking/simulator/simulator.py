@@ -17,7 +17,7 @@ from parking_exp.tasks.parking.geometry import (
     cars_at,
     direction_of,
     extent,
-    joined,
+    join_rectangles,
     may_overlap,
     obstacles_at,
     walls_around,
@@ -74,8 +74,8 @@ class Simulator(EvaluationBatch):
         self.start(scenes)
         self._fixtures: Fixtures | None = None  # None: made anew in each step
         if lot.same_walls and not config.obstacles:
-            of_one = self._collisions.fixtures(self.state.take(np.array([0])))
-            self._fixtures = of_one.repeated(MOST_SCENES)
+            single_scene_fixtures = self._collisions.fixtures(self.state.take(np.array([0])))
+            self._fixtures = single_scene_fixtures.repeated(MOST_SCENES)
 
     def __len__(self) -> int:
         return len(self.state.heading)
@@ -126,7 +126,9 @@ class Simulator(EvaluationBatch):
             parts.append(walls_around(state.free[:, rows]))
         position = state.position[:, rows]
         direction = state.direction[:, rows]
-        distances = ray_distances(position, direction, joined(parts), self.rays, self.rays_range_m)
+        distances = ray_distances(
+            position, direction, join_rectangles(parts), self.rays, self.rays_range_m
+        )
         return distances / self.rays_range_m
 
     def step(self, actions: np.ndarray) -> Step:
