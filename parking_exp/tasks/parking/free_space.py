@@ -31,8 +31,7 @@ class FreeSpace:
         vehicles = scenes.vehicle_pose
         parked_cars = cars_at(vehicles[..., :2], vehicles[..., 2])
         others = join_rectangles([parked_cars, obstacles_at(scenes.obstacles)])
-        # Shape (2, 1, others): x and y, or length and width. The second axis is for poses of the
-        # car.
+        # Shape (2, 1, others): x and y, or length and width. Axis 1 is for the car's poses.
         self._centre = others.centre.T.swapaxes(1, 2)
         self._direction = direction_of(others.heading)
         self._half_size = others.size.T.swapaxes(1, 2) / 2
