@@ -204,8 +204,8 @@ class Experiment:
             if verdicts and pair.verdict not in verdicts:
                 continue
             mark = formats.VERDICTS[pair.verdict].mark
-            difference = formats.points_interval(pair.difference)
-            p = formats.p_value(pair.difference.p_corrected)
+            difference = formats.points_interval_in_words(pair.difference)
+            p = formats.p_in_words(pair.difference.p_corrected)
             rows.append([f"`{labels[pair.a]}`", f"`{labels[pair.b]}`", mark, difference, p])
         return _table(["cell", "minus"], ["", "difference", "p"], rows)
 
