@@ -1,12 +1,8 @@
-"""Cores and CUDA devices of this machine, their division between workers, and pauses of garbage
-collection.
-"""
+"""Cores and CUDA devices of this machine, and their division between workers."""
 
-import gc
 import itertools
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 THREAD_VARIABLES = (
@@ -39,23 +35,3 @@ def cuda_devices() -> list[str]:
         return [name.strip() for name in visible.split(",") if name.strip() not in {"", "-1"}]
     gpus = Path("/proc/driver/nvidia/gpus")
     return [str(number) for number, _ in enumerate(gpus.iterdir())] if gpus.is_dir() else []
-
-
-@contextmanager
-def no_garbage_collection(*, freeze: bool = False) -> Iterator[None]:
-    """Pause garbage collection within a block.
-
-    It takes 0.8 s of the import of torch, and a quarter of the time of MLflow's imports and writes.
-
-    Args:
-        freeze: whether later collections leave out what exists at the end of the block.
-    """
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if freeze:
-            gc.freeze()
-        if was_enabled:
-            gc.enable()

@@ -183,31 +183,25 @@ class Experiment:
 
     def _pair(self, first: str, second: str) -> Pair:
         """Return the comparison of the first cell with the second."""
-        of_first = self.cell(first).id
-        of_second = self.cell(second).id
+        first_id = self.cell(first).id
+        second_id = self.cell(second).id
         for pair in self.report.pairs:
-            if (pair.a, pair.b) == (of_first, of_second):
+            if (pair.a, pair.b) == (first_id, second_id):
                 return pair
-            if (pair.a, pair.b) == (of_second, of_first):
+            if (pair.a, pair.b) == (second_id, first_id):
                 return pair.reverse()
         raise ValueError(f"{first} and {second} are not compared")
 
-    def comparisons(self, *verdicts: str) -> str:
-        """Return a Markdown table of the pairs that the report compares, corrected for all.
-
-        Args:
-            verdicts: those of the rows, e.g. `a` and `b`; empty: all.
-        """
+    def comparisons(self) -> str:
+        """Return a Markdown table of the pairs that the report compares, corrected for all."""
         labels = {cell.id: cell.label for cell in self.report.cells}
         rows = []
         for pair in self.report.pairs:
-            if verdicts and pair.verdict not in verdicts:
-                continue
             mark = formats.VERDICTS[pair.verdict].mark
-            difference = formats.points_interval_in_words(pair.difference)
-            p = formats.p_in_words(pair.difference.p_corrected)
+            difference = formats.points_interval(pair.difference)
+            p = formats.p_value(pair.difference.p_corrected)
             rows.append([f"`{labels[pair.a]}`", f"`{labels[pair.b]}`", mark, difference, p])
-        return _table(["cell", "minus"], ["", "difference", "p"], rows)
+        return _table(["cell", "minus"], ["", "difference, points", "p"], rows)
 
     def mean(self, key: str, level: object) -> str:
         """Return the mean success of the cells with a value of a config key, with its interval."""

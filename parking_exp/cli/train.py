@@ -5,7 +5,7 @@ from parking_exp.config.compose import compose_runs
 from parking_exp.config.rules import update_ratio_warning
 from parking_exp.config.schema import SweepOptions
 from parking_exp.config.validate import parse_config
-from parking_exp.resources import no_garbage_collection
+from parking_exp.garbage_collection import no_garbage_collection
 from parking_exp.terminal import say
 
 
@@ -16,7 +16,7 @@ def main() -> None:
 
 def train(overrides: list[str], extra_config_dir: str | None) -> None:
     """Train a single run in this process, several as a sweep."""
-    with no_garbage_collection(freeze=True):
+    with no_garbage_collection():
         from parking_exp.sweeps.launchers import make_launcher
         from parking_exp.sweeps.sweep import plan, sweep
 
@@ -34,13 +34,13 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
         # These need a supervisor, so that even a single run becomes a sweep.
         is_elsewhere = names_launcher or runs[0].launcher != "local"
         supervised = is_elsewhere or options.dry_run or options.retry or planned[0].config.timeout_s
-        is_sweep = len(planned) > 1 or bool(supervised)
-        if not is_sweep:
-            from parking_exp.sweeps import single_run
 
-    if is_sweep:
+    if len(planned) > 1 or supervised:
         is_due = any(run.is_due for run in planned)
         launcher = make_launcher(runs, extra_config_dir, connect=is_due and not options.dry_run)
         sweep(planned, launcher, dry_run=options.dry_run)
     else:
+        with no_garbage_collection(freeze=True):
+            from parking_exp.sweeps import single_run
+
         single_run.train(planned[0].config)

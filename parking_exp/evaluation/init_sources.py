@@ -11,7 +11,7 @@ from parking_exp.runs.lookup import LATEST, find_runs
 from parking_exp.runs.run_files import read_config
 
 
-def fix_source(config: RunConfig) -> RunConfig:
+def pin_source(config: RunConfig) -> RunConfig:
     """Return a config whose `init` always means the same run.
 
     It is the run's path in the output directory, and absolute if the run lies elsewhere. `latest`

@@ -23,9 +23,9 @@ def find_caveats(report: ReportData) -> Iterator[str]:
     few = [cell.success.n for cell in cells if cell.success.n < ENOUGH_SEEDS]
     if few:
         yield (
-            f"Exploratory: {len(few)} of {len(cells)} cells have fewer than {ENOUGH_SEEDS} "
-            f"finished seeds (the fewest: {min(few)}). Their intervals are compatibility "
-            "intervals."
+            f"Exploratory: fewer than {ENOUGH_SEEDS} finished seeds in {len(few)} of "
+            f"{plural(len(cells), 'cell')} (the fewest: {min(few)}). Their intervals are "
+            "compatibility intervals."
         )
     yield from _find_mixed(report)
     for cell in cells:

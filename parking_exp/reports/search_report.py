@@ -135,7 +135,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
         text_column("Trial", "label"),
         interval_column("Tuning seeds", "tuning"),
         interval_column("Test seeds", "test"),
-        interval_column("Tuning minus test", "difference", formats.points_interval_in_words),
+        interval_column("Tuning minus test (points)", "difference", formats.points_interval),
     ]
     caption = (
         "The best trials and trial 0, the unchanged config, trained again on seeds that no trial "

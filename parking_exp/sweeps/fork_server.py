@@ -5,10 +5,10 @@ touches CUDA, and it has one thread only: threads do not survive a fork. It ends
 all workers have ended.
 """
 
-import gc
 import os
 import signal
 
+from parking_exp.garbage_collection import no_garbage_collection
 from parking_exp.resources import THREAD_VARIABLES
 
 # A terminal or Slurm signals all processes. This one has to outlive the checkpoints of its workers.
@@ -26,14 +26,11 @@ os.register_at_fork(after_in_child=lambda: _set_handlers(signal.SIG_DFL))
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-gc.disable()  # imports are 0.8 s faster without it
 
-import highway_env  # noqa: E402, F401
-import matplotlib.backends.backend_agg  # noqa: E402, F401
-import torch.utils.tensorboard  # noqa: E402, F401
+# Frozen, else the collections of workers would copy the memory that they share with this process.
+with no_garbage_collection(freeze=True):
+    import highway_env  # noqa: F401
+    import matplotlib.backends.backend_agg  # noqa: F401
+    import torch.utils.tensorboard  # noqa: F401
 
-import parking_exp.training.train_run  # noqa: E402, F401
-
-# else the collections of workers would copy the memory that they share with this process
-gc.freeze()
-gc.enable()
+    import parking_exp.training.train_run  # noqa: F401

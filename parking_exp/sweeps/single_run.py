@@ -13,7 +13,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.settings import flatten_config
 from parking_exp.config.validate import validate
-from parking_exp.evaluation.init_sources import fix_source
+from parking_exp.evaluation.init_sources import pin_source
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_plans import make_pending
 from parking_exp.terminal import is_script, say, unfailing_output
@@ -38,7 +38,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
     with unfailing_output():
-        return _train_or_keep(fix_source(validate(config)))
+        return _train_or_keep(pin_source(validate(config)))
 
 
 def _train_or_keep(config: RunConfig) -> RunResult:

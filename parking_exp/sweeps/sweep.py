@@ -20,7 +20,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.settings import flatten_config
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError, FailedRunError
-from parking_exp.evaluation.init_sources import fix_source
+from parking_exp.evaluation.init_sources import pin_source
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
@@ -119,7 +119,7 @@ def _check_cells(composed: Sequence[ComposedRun]) -> dict[int, _Cell]:
     unique = {id(run.cell_config): run.cell_config for run in composed}
     cells = {}
     for key, checked in zip(unique, validate_all(unique.values()), strict=True):
-        config = fix_source(checked)
+        config = pin_source(checked)
         cells[key] = _Cell(config, config.run_dir.parent)  # hashing the config takes time
     return cells
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError, RunLockedError
-from parking_exp.resources import no_garbage_collection
+from parking_exp.garbage_collection import no_garbage_collection
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.terminal import say, unfailing_output
 from parking_exp.training.signals import stop_on_signal

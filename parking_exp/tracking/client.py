@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock
 
 from parking_exp.config.paths import SQLITE, database_file
-from parking_exp.resources import no_garbage_collection
+from parking_exp.garbage_collection import no_garbage_collection
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from rich.progress import track
 
 from parking_exp.config.paths import ARTIFACTS, SQLITE
 from parking_exp.errors import StoreError, reason_of_store_failure
+from parking_exp.garbage_collection import no_garbage_collection
 from parking_exp.phrases import plural
-from parking_exp.resources import no_garbage_collection
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import make_console, say

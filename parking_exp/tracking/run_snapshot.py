@@ -124,7 +124,7 @@ def tags_for_store(directory: RunDirectory, config: RunConfig, store: Store) -> 
     for name in (*FROM_STATUS, INIT):
         if name in entries:
             tags[name] = str(entries[name])
-    if not store.is_inside:
+    if not store.is_in_output_dir:
         tags[OUTPUT_ID] = output_id(directory.output_dir)
 
     tags["experiment"] = config.experiment_name

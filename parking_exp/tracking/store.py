@@ -56,7 +56,7 @@ class Store:
         self._runs = dict[frozenset[str], "list[Run]"]()  # of `runs`
 
     @property
-    def is_inside(self) -> bool:
+    def is_in_output_dir(self) -> bool:
         """Whether this is a database inside of the output directory."""
         return self._output_dir is not None
 

@@ -142,7 +142,7 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
         StoreError: the store fails.
     """
     try:
-        own_id = None if store.is_inside else output_id(directory.output_dir)
+        own_id = None if store.is_in_output_dir else output_id(directory.output_dir)
         for run in _runs_of_experiments([directory], store):
             run_dir = store.run_dir(run)
             is_same = run_dir is not None and resolved(run_dir) == resolved(directory.path)

@@ -15,7 +15,7 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import parse_config, parse_plain, raise_problems, validate
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.init_sources import fix_source
+from parking_exp.evaluation.init_sources import pin_source
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.lookup import LATEST
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
@@ -91,7 +91,7 @@ class Search:
         config = validate(plain)
         if config.init == LATEST:
             raise ConfigError("init=latest: name a run, so that all trials start from the same one")
-        return fix_source(config)
+        return pin_source(config)
 
     def check(self) -> None:
         """Check the space: every key, both ends of each range, and every choice.

@@ -93,7 +93,7 @@ def test_claims_have_the_better_cell_the_difference_and_its_p_value(two):
     best, difference = two.claims
     assert best.startswith("sac has the highest final success: 92.0 % [")
     assert difference == "sac is better than td3 (+52.0 points [+23.3, +72.3], p = 0.008)."
-    few = "Exploratory: 2 of 2 cells have fewer than 10 finished seeds (the fewest: 5)."
+    few = "Exploratory: fewer than 10 finished seeds in 2 of 2 cells (the fewest: 5)."
     assert f"{few} Their intervals are compatibility intervals." in two.warnings
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import gc
 import gzip
 import importlib.util
 import io
@@ -101,7 +100,6 @@ def call_script(name, *arguments, cwd=None, code=None):
         stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
         stack.enter_context(contextlib.redirect_stdout(output))
         stack.enter_context(contextlib.redirect_stderr(errors))
-        stack.callback(gc.enable)
         try:
             main()
         except SystemExit as left:

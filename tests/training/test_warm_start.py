@@ -16,7 +16,7 @@ from torch.nn.utils import parameters_to_vector
 
 from parking_exp.config.compose import compose
 from parking_exp.errors import FailedRunError, ModelError, RunNotFoundError
-from parking_exp.evaluation.init_sources import find_source, fix_source
+from parking_exp.evaluation.init_sources import find_source, pin_source
 from parking_exp.runs.atomic_files import sha256
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.single_run import train
@@ -57,7 +57,7 @@ def source(trained, tmp_path):
 
 
 def from_source(source, *overrides):
-    return fix_source(configured(source.output_dir, f"init='{source.path}'", *overrides))
+    return pin_source(configured(source.output_dir, f"init='{source.path}'", *overrides))
 
 
 def test_networks_and_entropy_coefficient_are_the_sources_and_optimizers_are_new(source):
@@ -199,7 +199,7 @@ def test_what_does_not_fit_is_one_sentence_and_nothing_is_written(source, messag
 
 def test_latest_is_what_it_was_when_the_config_was_planned(source):
     config = configured(source.output_dir, "init=latest", "experiment_name=finetuned")
-    named = fix_source(config)
+    named = pin_source(config)
     assert named.init == str(source.path.relative_to(source.output_dir))
     assert named.run_key == from_source(source, "experiment_name=finetuned").run_key
     planned = RunDirectory(named.run_dir)
@@ -210,8 +210,8 @@ def test_latest_is_what_it_was_when_the_config_was_planned(source):
     shutil.copytree(source.path, newer)
     final = newer / "models" / "final.zip"
     os.utime(final, (final.stat().st_mtime + 10,) * 2)
-    assert fix_source(config) == named
-    other = fix_source(configured(source.output_dir, "init=latest", "algorithm.gamma=0.9"))
+    assert pin_source(config) == named
+    other = pin_source(configured(source.output_dir, "init=latest", "algorithm.gamma=0.9"))
     assert other.init == str(newer.relative_to(source.output_dir))
 
 
@@ -219,11 +219,11 @@ def test_of_a_cell_each_seed_starts_from_the_run_with_its_seed(source):
     shutil.copytree(source.path, source.path.with_name("seed=1"))
     config = configured(source.output_dir, f"init='{source.path.parent}'")
     for seed in (0, 1):
-        of_seed = fix_source(config).model_copy(update={"seed": seed})
-        assert of_seed.cell_key == fix_source(config).cell_key
+        of_seed = pin_source(config).model_copy(update={"seed": seed})
+        assert of_seed.cell_key == pin_source(config).cell_key
         assert find_source(of_seed).folder == source.path.with_name(f"seed={seed}")
     with pytest.raises(RunNotFoundError, match=r"^init=.*: there is no such run directory "):
-        find_source(fix_source(config).model_copy(update={"seed": 2}))
+        find_source(pin_source(config).model_copy(update={"seed": 2}))
 
 
 def test_transitions_with_other_fields_are_refused(source):

@@ -29,20 +29,20 @@ def _scenes(lot: Lot, seeds: tuple[int, ...]) -> Scenes:
 
 
 def outcome_rates(
-    episodes: pd.DataFrame, key: str, of_scene: Mapping[int, int]
+    episodes: pd.DataFrame, key: str, numbers_of_scenes: Mapping[int, int]
 ) -> list[dict[str, Any]]:
     """Return the rates of outcomes over final episodes (scene, outcome), by a number of the scene.
 
     Args:
         episodes: the final episodes of all runs.
         key: the name of that number.
-        of_scene: the number of each scene.
+        numbers_of_scenes: the number of each scene.
 
     Returns:
         A row for each number, ascending: the number by its name, `n` episodes, and a rate for each
             outcome.
     """
-    numbers = episodes[EPISODE_SEED].map(of_scene).rename(key)
+    numbers = episodes[EPISODE_SEED].map(numbers_of_scenes).rename(key)
     counts = pd.crosstab(numbers, episodes["outcome"].astype(object))
     n = counts.sum(axis=1)
     rates = counts.reindex(columns=PARKING_OUTCOMES, fill_value=0).div(n, axis=0)
