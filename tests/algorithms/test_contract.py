@@ -69,5 +69,6 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp
     ],
 )
 def test_a_class_whose_files_would_lose_weights_is_refused(name, lost):
-    with pytest.raises(ConfigError, match=rf"^{USER}\.{name}: .*{lost}$"):
+    sentence = rf"^{USER}\.{name}: .*{lost}; name them in _get_torch_save_params\(\)$"
+    with pytest.raises(ConfigError, match=sentence):
         make_model(*SMOKE, f"{USER}.{name}")
