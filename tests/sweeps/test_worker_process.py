@@ -49,7 +49,7 @@ assert psutil.Process().num_threads() == 1
 """
 
 
-def test_the_server_imports_the_training_without_threads_cuda_or_mlflow():
+def test_the_fork_server_imports_the_training_without_threads_cuda_or_mlflow():
     run_code(SERVER)
 
 
