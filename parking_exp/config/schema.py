@@ -77,6 +77,12 @@ LocalPath = Annotated[str, Field(min_length=1), AfterValidator(_check_local)]
 """A path of this machine: `s3://bucket` would become a folder `s3:`."""
 
 
+def _check_device(device: str) -> str:
+    if not re.fullmatch(r"cpu|auto|cuda(:\d{1,3})?", device):
+        raise ValueError(f"{device!r} is not a device; choose cpu, auto, cuda or cuda:N")
+    return device
+
+
 def _as_node(value: Any) -> Any:
     """Return a dotted path as a node with a `_target_`; leave other values to pydantic."""
     if isinstance(value, str):
@@ -211,7 +217,7 @@ class RunConfig(OutputConfig):
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)]
     # 0.001: one update in 1,000 steps of each env.
     updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]
-    device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]
+    device: Annotated[str, AfterValidator(_check_device)]
     torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
     precision: Literal["highest", "medium"]
     timeout_s: PositiveFloat | None = None
