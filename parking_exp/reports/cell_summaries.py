@@ -40,22 +40,21 @@ class RunEvaluations:
 
     curves: dict[str, pd.DataFrame]
     final: dict[str, pd.DataFrame]  # the final episodes
-    whole_curves: set[str]  # runs with a rate at each evaluation
+    n_evaluations: pd.Series  # in each run's curve, also those without a rate
     paths: pd.DataFrame  # `Results.paths`, with the outcome of each episode
 
 
 def split_by_run(results: Results) -> RunEvaluations:
     """Split the evaluations of some results."""
-    has_rate = results.curves["success_rate"].notna().groupby(results.curves["run_id"]).all()
+    n_evaluations = results.curves["run_id"].value_counts()
     curves = results.curves.dropna(subset=["success_rate"])
     # Each task has one of the failures.
     failures = curves.reindex(columns=[f"{name}_rate" for name in FAILURES])
     curves = curves.assign(failure_rate=failures.bfill(axis=1).iloc[:, 0])
     final = results.episodes[results.episodes["phase"] == "final"]
-    whole_curves = set(has_rate[has_rate].index)
     outcomes = final[["run_id", EPISODE_SEED, "outcome"]].astype({"run_id": TEXT})
     paths = results.paths.merge(outcomes, on=["run_id", EPISODE_SEED])
-    return RunEvaluations(_group_by_run(curves), _group_by_run(final), whole_curves, paths)
+    return RunEvaluations(_group_by_run(curves), _group_by_run(final), n_evaluations, paths)
 
 
 def _group_by_run(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -188,11 +187,15 @@ def _average_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | 
 def _measure_time_to_90(seeds: Sequence[RunSummary]) -> dict[str, Any]:
     """Return the fields of a cell about the time to 90 %."""
     timed = [seed for seed in seeds if seed.reached_90 is not None]
+    n_reached_90 = sum(bool(seed.reached_90) for seed in timed)
+    cpu_times = [seed.cpu_s_to_90 for seed in timed]
+    n_cpu_times = sum(time is not None for time in cpu_times)
     return {
         "n_timed": len(timed),
-        "n_reached_90": sum(bool(seed.reached_90) for seed in timed),
+        "n_reached_90": n_reached_90,
         "steps_to_90": _median_time([seed.steps_to_90 for seed in timed]),
-        "cpu_s_to_90": _median_time([seed.cpu_s_to_90 for seed in timed]),
+        # A time that is not known is not one that is never reached.
+        "cpu_s_to_90": _median_time(cpu_times) if n_cpu_times == n_reached_90 else None,
     }
 
 

@@ -68,7 +68,9 @@ def p_value(p: float | None) -> str:
         return ""
     if p <= SMALLEST_P:
         return f"≤ {SMALLEST_P}"
-    return f"{p:.3f}" if p >= 0.001 else f"{p:.4f}"
+    # Four digits also tell on which side of 0.05 it lies.
+    digits = 4 if p < 0.001 or round(p, 3) == 0.05 else 3
+    return f"{p:.{digits}f}"
 
 
 def p_in_words(p: float | None) -> str:

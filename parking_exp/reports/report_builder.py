@@ -100,6 +100,9 @@ def build_report(
         *find_contradictions(selection.cells, evaluations),
         *results.problems[:MAX_PROBLEMS],
     ]
+    n_unnamed = len(results.problems) - MAX_PROBLEMS
+    if n_unnamed > 0:
+        warnings.append(f"There are {n_unnamed} more problems of this kind.")
     return replace(
         report,
         claims=list(describe_findings(report)),

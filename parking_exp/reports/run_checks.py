@@ -1,7 +1,8 @@
 """Find stored numbers of runs that can't be right, or that do not fit together."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.cell_summaries import FINAL_EPISODES, RunEvaluations
 from parking_exp.results.frames import Results
 from parking_exp.statistics import finite_or_none
+from parking_exp.tasks.registry import OUTCOMES
 
 
 def leave_out_impossible_rates(results: Results) -> Results:
@@ -47,6 +49,7 @@ def _leave_out_impossible(
 def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> Iterator[str]:
     """Yield which runs lack outcomes or evaluations, and whose outcomes contradict their rate."""
     for cell in cells:
+        longest_curve = evaluations.n_evaluations.reindex(cell.done["run_id"]).max()
         contradicting = []
         without_outcomes = []
         without_curves = []
@@ -56,35 +59,38 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
             n_expected = finite_or_none(run.get(FINAL_EPISODES)) or 0
             if episodes is None or len(episodes) < n_expected:
                 without_outcomes.append(seed)
-            elif _contradicts(run["success_rate"], episodes["outcome"]):
+            elif _contradict(run, episodes["outcome"]):
                 contradicting.append(seed)
-            if run["run_id"] not in evaluations.whole_curves:
+            if len(evaluations.curves.get(run["run_id"], ())) < longest_curve:
                 without_curves.append(seed)
-        has_curves = cell.done["run_id"].isin(evaluations.curves).any()
 
         label = quoted_label(cell.label)
         if contradicting:
             yield (
-                f"{label}: stored success contradicts the outcomes of the episodes of "
+                f"{label}: stored rates contradict the outcomes of the episodes of "
                 f"{_list_seeds(contradicting)}."
             )
-        # Some results have rates and nothing else, and some cells no evaluations on the way.
+        # Some results have rates and nothing else.
         if without_outcomes and evaluations.final:
             yield (
                 f"{label}: some or all outcomes are missing for {_list_seeds(without_outcomes)}. "
                 "Tables and figures of outcomes leave these runs out."
             )
-        if without_curves and has_curves:
+        if without_curves:
             yield (
                 f"{label}: some or all evaluations during training are missing for "
-                f"{_list_seeds(without_curves)}. AUC and times are of the other seeds."
+                f"{_list_seeds(without_curves)}. AUC and times are made without them."
             )
 
 
-def _contradicts(success_rate: float, outcomes: pd.Series) -> bool:
-    """Return whether a rate is off by more than half an episode."""
-    share = (outcomes == "success").mean()
-    return abs(success_rate - share) > 0.5 / len(outcomes)
+def _contradict(run: Mapping[Any, Any], outcomes: pd.Series) -> bool:
+    """Return whether a rate of a run is off by more than half an episode."""
+    for outcome in OUTCOMES:
+        rate = finite_or_none(run.get(f"{outcome}_rate"))
+        share = (outcomes == outcome).mean()
+        if rate is not None and abs(rate - share) > 0.5 / len(outcomes):
+            return True
+    return False
 
 
 def _list_seeds(seeds: Sequence[int]) -> str:

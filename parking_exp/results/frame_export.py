@@ -68,7 +68,9 @@ def write_export(
         "outcomes.csv.gz": _exported_outcomes(results.episodes),
     }
     for name, table in tables.items():
-        text = table.to_csv(index=False, float_format="%.6g")
+        # The exact test of rates needs them as they are.
+        digits = 12 if name == "runs.csv.gz" else 6
+        text = table.to_csv(index=False, float_format=f"%.{digits}g")
         # An existing link is replaced, not followed.
         write_gzip(folder / name, text)
     problems = [without_paths(problem) for problem in results.problems]

@@ -20,7 +20,8 @@ class Difference(Interval):
     """mean(a) - mean(b) with its interval, and the two-sided p of the permutation test.
 
     Attributes:
-        p: None where a side has fewer than ENOUGH_FOR_A_TEST seeds, or cells lack a counterpart.
+        p: None where a side has fewer than ENOUGH_FOR_A_TEST seeds, a cell has a single one, or
+            cells lack a counterpart.
         p_corrected: the same with Bonferroni's correction.
     """
 
@@ -57,6 +58,8 @@ def compare(
 def _test(a: Cells, b: Cells) -> float | None:
     n_seeds = min(_count_seeds(a), _count_seeds(b))
     if n_seeds < ENOUGH_FOR_A_TEST or len(a) != len(b):
+        return None
+    if min(np.size(cell.rates) for cell in [*a, *b]) == 1:  # there is no interval, so no verdict
         return None
     return permutation_p([(x.rates, y.rates) for x, y in zip(a, b, strict=True)])
 

@@ -264,6 +264,14 @@ def test_a_median_time_needs_half_of_the_seeds():
     assert (cell.n_reached_90, cell.steps_to_90, cell.cpu_s_to_90) == (1, None, None)
 
 
+def test_a_cpu_time_that_is_not_known_leaves_no_median():
+    frames = results({"sac": {}}, range(3), lambda *_: Run(curve=[1.0] * 4))
+    is_first = frames.curves["run_id"] == "one-sac-0"
+    curves = frames.curves.assign(cpu_s=frames.curves["cpu_s"].mask(is_first))
+    (cell,) = build_report(replace(frames, curves=curves), ["one"]).cells
+    assert (cell.n_reached_90, cell.steps_to_90, cell.cpu_s_to_90) == (3, 100, None)
+
+
 def test_unfinished_runs_are_missing_and_quick_shows_their_curves():
     interrupted = Run(status="interrupted", curve=(0, 0.5))
     look = by_seed(Run(), interrupted, interrupted)
@@ -603,6 +611,7 @@ def test_problems_of_results_are_warnings_and_the_first_few_are_named():
     report = build_report(frames, ["one"])
     problems = [line for line in report.warnings if line.startswith("problem")]
     assert problems == [f"problem {n}" for n in range(5)]
+    assert report.warnings[-1] == "There are 2 more problems of this kind."
 
 
 def test_a_metric_of_a_user_is_a_column_and_empty_where_a_cell_lacks_it():

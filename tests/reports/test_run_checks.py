@@ -24,10 +24,11 @@ def test_runs_that_fit_together_have_no_warning():
     assert warnings_of(of_seeds(Run(), Run(success=0.6), Run(success=1.0))) == []
 
 
-def test_a_stored_rate_that_contradicts_the_outcomes_is_named():
-    frames = of_seeds(Run(), Run(success=0.6, columns={"success_rate": 0.8}), Run())
+@pytest.mark.parametrize("column", ["success_rate", "crash_rate", "timeout_rate"])
+def test_a_stored_rate_that_contradicts_the_outcomes_is_named(column):
+    frames = of_seeds(Run(), Run(success=0.6, columns={column: 0.8}), Run())
     assert warnings_of(frames) == [
-        f"{LABEL}: stored success contradicts the outcomes of the episodes of seed 1."
+        f"{LABEL}: stored rates contradict the outcomes of the episodes of seed 1."
     ]
 
 
@@ -57,11 +58,11 @@ def test_outcomes_that_are_missing_of_some_runs_are_named():
     assert of_all in warnings_of(replace(frames, episodes=of_each))
 
 
-@pytest.mark.parametrize("curve", [(), (0.2, np.nan, 0.6, 0.8)])
+@pytest.mark.parametrize("curve", [(), (0.2, np.nan, 0.6, 0.8), (0.2, 0.4)])
 def test_curves_that_are_missing_or_have_gaps_are_named(curve):
     expected = (
         f"{LABEL}: some or all evaluations during training are missing for seed 0. "
-        "AUC and times are of the other seeds."
+        "AUC and times are made without them."
     )
     if curve:
         assert warnings_of(of_seeds(Run(curve=curve), Run(), Run())) == [expected]

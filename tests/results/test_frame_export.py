@@ -21,7 +21,7 @@ HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 HOSTILE = 'a,b "c"\nd\re <script>'
 LOOKS = {
     ("four", 0): Look(
-        success=0.8, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), cpu_s=1234.56789
+        success=2 / 3, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), cpu_s=1234.56789
     ),
     ("four", 1): Look(
         status="failed", error="no file /home/some.one/data/x.zip: (see sqlite:////tmp/r/mlflow.db)"
@@ -117,14 +117,14 @@ def test_runs_come_back_with_their_types_and_without_places(stored, written):
     pd.testing.assert_frame_equal(
         runs.drop(columns=["run_dir", "artifact_uri", *texts]),
         stored.runs.drop(columns=[*places, *texts]),
-        rtol=1e-5,
+        rtol=1e-11,
     )
     assert runs["config.x.whole"].tolist() == [3, 3, None, None]
     assert runs["config.x.flag"].tolist() == [True, True, None, None]
     assert runs["config.x.text"][0] == HOSTILE
     assert runs["config.x.number"].max() == 0.1234567891
     assert runs["config.x.huge"][2] == int("9" * 30)
-    assert runs["cpu_s"][0] == 1234.57
+    assert runs["cpu_s"][0] == 1234.56789
 
 
 def test_curves_and_outcomes_come_back_rounded_to_six_digits(stored, written):

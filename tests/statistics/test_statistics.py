@@ -214,6 +214,9 @@ def test_a_pair_with_a_single_seed_has_neither_interval_nor_p_and_is_no_part_of_
     assert differences[0].value == pytest.approx(0.3)
     assert (differences[0].low, differences[0].p, differences[0].n) == (None, None, 1)
     assert differences[1] == compare([other])[0]
+    four_cells = ([SeedRates([0.9])] * 4, [SeedRates([0.5])] * 4)
+    (difference,) = compare([four_cells])
+    assert (difference.low, difference.p, difference.n) == (None, None, 4)
 
 
 # Time to a threshold

@@ -154,10 +154,13 @@ def p_values(a, b, n, draws=DRAWS, episodes=100):
     )
 
 
-def decides(a, b, n, n_pairs=1, draws=500, episodes=500):
-    """Return in which of the draws a report says "better" or "worse" in a family of `n_pairs`."""
+def decides(a, b, n, n_pairs=1, draws=500, episodes=500, verdicts=("a", "b")):
+    """Return in which of the draws a report has one of the verdicts, of a pair of `n_pairs`.
+
+    The default is "better" and "worse".
+    """
     compared = differences(a, b, n, draws, episodes, n_pairs=n_pairs)
-    return np.array([judge(difference) in ("a", "b") for difference in compared])
+    return np.array([judge(difference) in verdicts for difference in compared])
 
 
 def main():
@@ -180,6 +183,11 @@ def main():
                 for n in SEEDS
             ]
             print(name, *pair, *map("/".join, shares), flush=True)
+
+    print("share of draws that are unclear, of a single pair, by number of seeds", *SEEDS)
+    for pair in EQUAL:
+        unclear = [decides(*pair, n, verdicts=("unclear",)) for n in SEEDS]
+        print("equal", *pair, *(f"{100 * of_n.mean():.1f}" for of_n in unclear), flush=True)
 
     print("coverage, by number of seeds", *SEEDS)
     of_one = HEALTHY + TAILED + COLLAPSING + RARELY_COLLAPSING
