@@ -6,6 +6,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.evaluation.evaluation_request import KEYS_LEFT_OUT, EvaluationRequest
+from parking_exp.evaluation.sb3_model_files import is_model_file
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.terminal import command_of, say
 from parking_exp.tracking.store import Store
@@ -68,7 +69,8 @@ def _check_words(words: list[str]) -> None:
         ConfigError: a word sets a key of training, the observation (which is the agent's),
             `env.simulator` (`simulator` chooses it), or an env in place of an option.
     """
-    has_model_file = any(word.startswith("run=") and ".zip" in word for word in words)
+    runs = [word.removeprefix("run=") for word in words if word.startswith("run=")]
+    has_model_file = any(is_model_file(run) for text in runs for run in text.split(","))
     for word in words:
         key, _, value = word.lstrip("+~").partition("=")
         section = key.replace("/", ".").partition(".")[0]

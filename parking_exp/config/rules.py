@@ -140,7 +140,7 @@ def update_ratio_warning(run: RunConfig) -> str | None:
     if not run.is_trained or suggested / FAR <= run.updates_per_step <= suggested * FAR:
         return None
     warning = (
-        f"updates_per_step={run.updates_per_step} is far from {suggested}, which "
+        f"updates_per_step={run.updates_per_step} is far from {suggested:.5g}, which "
         f"n_envs={run.n_envs} suggests"
     )
     if run.n_envs <= MANY_FOR_FEW and run.updates_per_step < suggested:

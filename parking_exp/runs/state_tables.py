@@ -47,7 +47,7 @@ def state_lines(
         for state in states:
             text = None
             if kind == "running" and state.stage == "running":
-                text = f"{describe_progress(state)}   {state.host}"
+                text = f"{describe_progress(state)}   {state.host or ''}".rstrip()
             elif kind == "stopped" and state.stage == "pending" and state.step:
                 text = f"resumes at step {_steps(state)}"
             elif kind == "failed" and state.stage == "failed":

@@ -5,6 +5,7 @@ They are made once for the env of a config, and kept in `output_dir/demonstratio
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -129,25 +130,25 @@ def _record_episodes(
     on_progress: Callable[[int], None],
 ) -> int:
     """Add an episode for each of the last training seeds, and return how many are successful."""
-    task = make_task(config.env)
-    arguments = dict(config.buffer.demonstrator)
-    target = arguments.pop("_target_")
-    policy = build_scripted_policy(target, arguments, task, DEMONSTRATOR_SEED)
     n_successes = 0
     all_seeds = config.env.training_seeds[-config.buffer.demonstrations :]
-    for first in range(0, len(all_seeds), BATCH):
-        seeds = all_seeds[first : first + BATCH]
-        on_batch_progress = partial(on_progress, first)
-        policy.start(seeds, on_batch_progress)
-        envs = task.training_envs(len(seeds))
-        envs.seed(seeds.start)
-        for episode in _drive(policy, envs, on_batch_progress):
-            for obs, next_obs, action, reward, done, infos in episode:
-                scaled = model.policy.scale_action(action)
-                buffer.add(obs, next_obs, scaled, reward, done, infos)
-            n_successes += bool(infos[0]["is_success"])
-        envs.close()
-    task.close()
+    with closing(make_task(config.env)) as task:
+        arguments = dict(config.buffer.demonstrator)
+        target = arguments.pop("_target_")
+        policy = build_scripted_policy(target, arguments, task, DEMONSTRATOR_SEED)
+        for first in range(0, len(all_seeds), BATCH):
+            seeds = all_seeds[first : first + BATCH]
+            on_batch_progress = partial(on_progress, first)
+            policy.start(seeds, on_batch_progress)
+            with closing(task.training_envs(len(seeds))) as envs:
+                envs.seed(seeds.start)
+                episodes = _drive(policy, envs, on_batch_progress)
+            for episode in episodes:
+                for obs, next_obs, action, reward, done, infos in episode:
+                    scaled = model.policy.scale_action(action)
+                    buffer.add(obs, next_obs, scaled, reward, done, infos)
+                last_infos = episode[-1][-1]
+                n_successes += bool(last_infos[0]["is_success"])
     return n_successes
 
 

@@ -115,7 +115,7 @@ class TrainingSession(RunSession):
         if remaining > 0:
             interval = self.config.tracking.log_interval
             user_callbacks: list[BaseCallback] = [
-                instantiate(node) for node in self.config.callbacks or ()
+                instantiate(node, _convert_="all") for node in self.config.callbacks or ()
             ]
             callbacks = [RolloutCallback(self), UpdateNormalizer(), *user_callbacks]
             self.model.learn(remaining, callbacks, log_interval=interval, reset_num_timesteps=False)

@@ -4,6 +4,7 @@ Optimizers, schedules, counters, random generators and the EMA of the actor star
 """
 
 from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
 
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -64,10 +65,9 @@ def check_sources(configs: Iterable[RunConfig]) -> None:
 
 def _check_layers(config: RunConfig, agent: Agent) -> None:
     """Load networks into a model of a run; raises ModelError if they have other layers."""
-    task = make_task(config.env)
-    env = task.prediction_env()
-    model = build_model(config, task, env, seed=0, for_training=False)
-    task.close()
+    with closing(make_task(config.env)) as task:
+        env = task.prediction_env()
+        model = build_model(config, task, env, seed=0, for_training=False)
     try:
         agent.load_into(model, networks_only=True)
     except ModelError as error:

@@ -221,4 +221,5 @@ def test_damaged_files_are_named(name, content, reason, trained, tmp_path):
 
 
 def test_a_run_has_its_algorithm(tmp_path):
-    assert "algorithm=sac is a training key" in refused("latest", tmp_path, "algorithm=sac")
+    for run in ("latest", f"{tmp_path}/runs.zip/smoke"):
+        assert "algorithm=sac is a training key" in refused(run, tmp_path, "algorithm=sac")

@@ -2,6 +2,7 @@
 
 import pytest
 from support.runs import config_refusal
+from support.user_callbacks import KeepsArguments
 
 from parking_exp.config.compose import compose
 from parking_exp.sweeps.single_run import train
@@ -19,6 +20,13 @@ def test_a_callback_logs_metrics_of_the_run_and_may_end_its_training(tmp_path):
     assert result.steps == 300
     # Two envs take two steps in a rollout, and the last one has no end.
     assert result.metrics["mine/rollouts"] == 149
+
+
+def test_a_callback_gets_plain_lists_and_dicts(tmp_path):
+    target = "support.user_callbacks.KeepsArguments"
+    train(config(tmp_path, f"{{_target_:{target},names:[a,b],limits:{{low:0.5}}}}"))
+
+    assert KeepsArguments.received == [list, dict]
 
 
 def test_a_callback_changes_the_key_of_a_run(tmp_path):
