@@ -7,8 +7,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 MAX_ENVS = 100_000
 TRAINING_SEEDS_START = 2**31
-"""Seeds of training episodes start here, unless a task has a limit of its own; those of evaluation
-are smaller.
+"""Seeds of training episodes start here, unless a task has a limit of its own. Seeds of evaluation
+episodes are smaller.
 """
 
 

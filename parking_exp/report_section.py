@@ -28,8 +28,8 @@ class Column(NamedTuple):
     Attributes:
         key: the key of its value in a row.
         form: writes the value, empty where nothing is known.
-        of_row: returns the value, where it is made of several of a row; the page sorts by that of
-            `key`.
+        of_row: computes the value from the row, if it needs several entries. The page sorts by
+            `key` all the same.
         numeric: whether it shows numbers.
         id_key: the key, in a row, of the id of the cell whose label it shows.
         given: whether it is a condition, not a result: the caption has it where it is the same in

@@ -83,8 +83,11 @@ class Agent:
     def load_into(self, model: "OffPolicyAlgorithm", *, networks_only: bool = False) -> None:
         """Load this agent's weights into a model.
 
-        All weights of a run's file are taken, those of actor and critics of a policy file, and
-        those of the actor alone of a file of plain Stable-Baselines3.
+        Which weights are loaded depends on the file:
+
+        - a file of a run: all
+        - `policy.safetensors`: actor and critics
+        - a file of plain Stable-Baselines3: the actor
 
         Args:
             model: the model, with the same networks.

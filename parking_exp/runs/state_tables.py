@@ -11,7 +11,7 @@ from parking_exp.runs.run_state import STAGES, RunState, by_cell, count_stages
 
 
 def cell_table(states: Sequence[RunState]) -> Table:
-    """Return one row a cell: its runs at each stage, and the mean success of those done."""
+    """Return one row per cell: its runs at each stage, and the mean success of those done."""
     table = Table(box=None, pad_edge=False)
     table.add_column("cell", overflow="fold")
     for stage in STAGES:

@@ -2,15 +2,19 @@
 
 What a recipe's next seed will do is what one of the trained seeds did, or something that none of
 them showed. So the mean of all possible seeds is a weighted mean of the rates of n seeds and of one
-unseen seed, with weights from a Dirichlet distribution with parameters (n - 2) / n for each seed,
-and UNSEEN for the unseen one: Rubin's Bayesian bootstrap (1981) with fewer seeds than there are, in
-place of Student's quantile.
+unseen seed. The weights have a Dirichlet distribution, with parameters (n - 2) / n for each seed,
+and UNSEEN for the unseen one. This is Rubin's Bayesian bootstrap (1981) with fewer seeds than there
+are, in place of Student's quantile.
 
-For the lower end, the unseen seed is REACH times as far below the worst seed as that is below
-100 %. It is no farther than SPREAD times the range of the seeds, or NEAR where they hardly differ.
-The upper end is the same seen from 0 % (Walley 1996: an interval of priors). Every end is at least
-as far out as that of Clopper and Pearson's (1934) interval of all episodes together: seeds that
-agree are still measured in so many episodes only.
+For the lower end, the unseen seed lies below the worst seed by the smaller of
+
+- REACH times the distance of the worst seed from 100 %,
+- SPREAD times the range of the seeds, or NEAR if that is larger.
+
+The upper end is the same seen from 0 % (Walley 1996: an interval of priors).
+
+Every end is at least as far out as the end of Clopper and Pearson's (1934) interval of all episodes
+together, since seeds that agree are still measured in so many episodes only.
 
 Nothing is random. `tests/support/coverage_simulation.py` simulates how often intervals cover.
 """

@@ -81,7 +81,7 @@ def _redirect_output(path: Path) -> None:
 
 
 def _die_with(parent: int) -> None:
-    """Kill this process when its supervisor, or its parent that it was forked from, is gone."""
+    """Kill this process when its supervisor or its parent process has ended."""
     supervisor = multiprocessing.parent_process()
     assert supervisor is not None
     while supervisor.is_alive() and os.getppid() == parent:

@@ -65,7 +65,7 @@ class GoalInfo(gym.Wrapper):
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def close(self) -> None:
-        """Close the env and that of its reward.
+        """Close the env, and the env of its reward.
 
         An error of the env's own `close` is ignored, since its work is done.
         """

@@ -121,7 +121,7 @@ class EnvProcesses(SubprocVecEnv):
             return super().step_wait()
 
     def close(self) -> None:
-        """End the processes; those that are left where one of them is gone already, too."""
+        """End all processes, even if one of them has ended before."""
         try:
             super().close()
         except (EOFError, ConnectionError):

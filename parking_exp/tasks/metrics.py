@@ -38,7 +38,7 @@ class Metric:
     unit: str = ""  # shown behind the label
     dtype: Literal["bool", "int64", "float64"] = "float64"  # of the column in frames
     column: str | None = None  # in `Results.runs`; None: `NAME_rate` or the name
-    # Of this package's metrics; those of users are in both.
+    # Of this package's metrics. Metrics of users are always in both.
     in_curves: bool = False  # whether `Results.curves` has it
     in_reports: bool = False  # whether reports have its mean over seeds
     is_outcome: bool = False  # whether it is the share of episodes that ended like this
@@ -91,7 +91,7 @@ SUCCESS = outcome_rate("success", "#009E73")
 TIMEOUT = outcome_rate("timeout", "#56B4E9")
 FAILURE_COLOUR = "#D55E00"
 STEPS = Metric(
-    "steps", lambda e: e.steps, "Steps an episode", "", "int64", column="episode_steps",
+    "steps", lambda e: e.steps, "Steps per episode", "", "int64", column="episode_steps",
     in_curves=True, in_reports=True
 )  # fmt: skip
 RETURN = Metric(

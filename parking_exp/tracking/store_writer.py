@@ -116,7 +116,10 @@ class StoreWriter:
 
 
 def sync_point(directory: RunDirectory) -> SyncPoint:
-    """Return where a run is: it changes whenever there is something to sync."""
+    """Return a run's status and its newest checkpoint.
+
+    There is something to sync when they have changed.
+    """
     checkpoints = find_checkpoints(directory.checkpoints)
     newest = checkpoints[-1].name if checkpoints else None
     return directory.status, newest

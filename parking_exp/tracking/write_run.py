@@ -164,7 +164,7 @@ def _new_metrics(run: "Run", log: Path | None) -> "Iterator[Metric]":
 def _find(
     directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]
 ) -> "tuple[Run | None, list[Run]]":
-    """Return the store's run of a directory, and those of earlier trainings or evaluations in it.
+    """Return the stored run of a directory, and stored runs that it replaces.
 
     The id in status.json may have been copied, or written by anybody. A run of another directory is
     taken only if that is gone: then it was moved here. A shared store has runs of other output

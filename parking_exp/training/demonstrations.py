@@ -1,4 +1,4 @@
-"""Demonstrations: episodes of a scripted policy from which a run learns beside its own.
+"""Demonstrations: episodes of a scripted policy, from which a run learns besides its own.
 
 They are made once for the env of a config, and kept in `output_dir/demonstrations`.
 """

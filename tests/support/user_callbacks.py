@@ -1,5 +1,7 @@
 """Callbacks as users write them."""
 
+from typing import ClassVar
+
 from stable_baselines3.common.callbacks import BaseCallback
 
 
@@ -22,7 +24,7 @@ class CountsRollouts(BaseCallback):
 class KeepsArguments(BaseCallback):
     """Remember the types of the arguments that it was made with."""
 
-    received: list[type] = []
+    received: ClassVar[list[type]] = []
 
     def __init__(self, names: list[str], limits: dict[str, float]) -> None:
         super().__init__()

@@ -126,8 +126,7 @@ class EgoFrameExtractor(TaskFeatures):
 
 
 class FineEgoFrameExtractor(EgoFrameExtractor):
-    """Ego-frame features, the car in the goal's frame, both also at the scale of a slot, in a lot
-    turned to the goal.
+    """Ego-frame features, and the car in the goal's frame. Both also come at the scale of a slot.
 
     Most lots are symmetric under a turn by 180 degrees, so pose and heading are turned where the
     goal's y is negative, which halves the state space and changes no action. Positions and reward

@@ -71,8 +71,9 @@ def corners(
 
 
 def extent(direction: np.ndarray, margin_m: float = 0.0) -> np.ndarray:
-    """Return how far cars with a margin around them reach from their centres along x and y;
-    direction and result have the shape (2, ...).
+    """Return how far cars, with a margin around them, reach from their centres along x and y.
+
+    `direction` and the result have the shape (2, ...).
     """
     share = np.abs(direction)
     reach: np.ndarray = share * (CAR_LENGTH_M / 2 + margin_m)

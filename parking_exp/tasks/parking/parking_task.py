@@ -62,7 +62,7 @@ class ParkingTask(Task):
         return DrivenBatch(Simulator(self.config, scenes), self.config)
 
     def close(self) -> None:
-        """Close the envs of evaluations on highway-env, and that of predictions."""
+        """Close the envs of evaluations on highway-env, and the env of predictions."""
         super().close()
         self._close_batch()
 
