@@ -2,6 +2,7 @@
 
 from parking_exp.cli.command import run_command
 from parking_exp.config.compose import compose_configs
+from parking_exp.config.overrides import without_quotes
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_run import evaluate_runs
@@ -62,6 +63,13 @@ def read_overrides(words: list[str]) -> list[str]:
     return overrides
 
 
+def _names_model_file(word: str) -> bool:
+    """Return whether a word is `run=` with a model file among its runs."""
+    key, _, value = word.partition("=")
+    runs = [without_quotes(run.strip()) for run in value.split(",")]
+    return key == "run" and any(is_model_file(run) for run in runs)
+
+
 def _check_words(words: list[str]) -> None:
     """Refuse words that an evaluation can't follow.
 
@@ -69,8 +77,7 @@ def _check_words(words: list[str]) -> None:
         ConfigError: a word sets a key of training, the observation (which is the agent's),
             `env.simulator` (`simulator` chooses it), or an env in place of an option.
     """
-    runs = [word.removeprefix("run=") for word in words if word.startswith("run=")]
-    has_model_file = any(is_model_file(run) for text in runs for run in text.split(","))
+    has_model_file = any(_names_model_file(word) for word in words)
     for word in words:
         key, _, value = word.lstrip("+~").partition("=")
         section = key.replace("/", ".").partition(".")[0]

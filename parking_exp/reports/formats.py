@@ -68,8 +68,10 @@ def p_value(p: float | None) -> str:
         return ""
     if p <= SMALLEST_P:
         return f"≤ {SMALLEST_P}"
-    # Four digits also tell on which side of 0.05 it lies.
-    digits = 4 if p < 0.001 or round(p, 3) == 0.05 else 3
+    digits = 3 if p >= 0.001 else 4
+    # More digits tell on which side of 0.05 it lies.
+    while round(p, digits) == 0.05 != p and digits < 6:
+        digits += 1
     return f"{p:.{digits}f}"
 
 

@@ -102,7 +102,7 @@ def build_report(
     ]
     n_unnamed = len(results.problems) - MAX_PROBLEMS
     if n_unnamed > 0:
-        warnings.append(f"There are {n_unnamed} more problems of this kind.")
+        warnings.append(f"Problems of stored results that are not named here: {n_unnamed}.")
     return replace(
         report,
         claims=list(describe_findings(report)),

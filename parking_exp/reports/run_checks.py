@@ -78,8 +78,8 @@ def find_contradictions(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
             )
         if without_curves:
             yield (
-                f"{label}: some or all evaluations during training are missing for "
-                f"{_list_seeds(without_curves)}. AUC and times are made without them."
+                f"{label}: evaluations during training have gaps, or are fewer than those of other "
+                f"seeds, for {_list_seeds(without_curves)}. AUC and times use those that there are."
             )
 
 

@@ -83,7 +83,7 @@ gzipped CSV files, which `pandas.read_csv` reads as well, and a JSON file:
 
 Left out are metrics that none of the runs has, such as those of other tasks; evaluation episodes
 during training; what `Results.episodes` has besides outcomes; paths; and everything that names a
-place on the machine. Numbers are rounded to 6 significant digits.
+place on the machine. Numbers of runs have 12 significant digits, others 6.
 """
 
 from parking_exp.results.frame_export import read_export, write_export

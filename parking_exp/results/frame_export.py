@@ -68,7 +68,7 @@ def write_export(
         "outcomes.csv.gz": _exported_outcomes(results.episodes),
     }
     for name, table in tables.items():
-        # The exact test of rates needs them as they are.
+        # The exact test recognises shares of episodes to within 1e-12.
         digits = 12 if name == "runs.csv.gz" else 6
         text = table.to_csv(index=False, float_format=f"%.{digits}g")
         # An existing link is replaced, not followed.

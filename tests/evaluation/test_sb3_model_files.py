@@ -220,6 +220,11 @@ def test_damaged_files_are_named(name, content, reason, trained, tmp_path):
     assert refused(path, tmp_path, "env=parking") == f"run={path}: there is no such file"
 
 
+def test_a_quoted_name_is_a_model_file_as_well(tmp_path):
+    problem = refused("'my model.zip'", tmp_path, "env=parking", "algorithm.gamma=0.5")
+    assert problem == "run=my model.zip: there is no such file"
+
+
 def test_a_run_has_its_algorithm(tmp_path):
     for run in ("latest", f"{tmp_path}/runs.zip/smoke"):
         assert "algorithm=sac is a training key" in refused(run, tmp_path, "algorithm=sac")

@@ -611,7 +611,7 @@ def test_problems_of_results_are_warnings_and_the_first_few_are_named():
     report = build_report(frames, ["one"])
     problems = [line for line in report.warnings if line.startswith("problem")]
     assert problems == [f"problem {n}" for n in range(5)]
-    assert report.warnings[-1] == "There are 2 more problems of this kind."
+    assert report.warnings[-1] == "Problems of stored results that are not named here: 2."
 
 
 def test_a_metric_of_a_user_is_a_column_and_empty_where_a_cell_lacks_it():

@@ -61,8 +61,8 @@ def test_outcomes_that_are_missing_of_some_runs_are_named():
 @pytest.mark.parametrize("curve", [(), (0.2, np.nan, 0.6, 0.8), (0.2, 0.4)])
 def test_curves_that_are_missing_or_have_gaps_are_named(curve):
     expected = (
-        f"{LABEL}: some or all evaluations during training are missing for seed 0. "
-        "AUC and times are made without them."
+        f"{LABEL}: evaluations during training have gaps, or are fewer than those of other seeds, "
+        "for seed 0. AUC and times use those that there are."
     )
     if curve:
         assert warnings_of(of_seeds(Run(curve=curve), Run(), Run())) == [expected]

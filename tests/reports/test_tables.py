@@ -47,8 +47,8 @@ def test_a_rate_next_to_0_or_1_is_not_written_as_0_or_1():
 
 
 def test_a_p_next_to_the_level_is_written_on_its_own_side():
-    values = (0.0505, 0.0504, 0.0496, 0.0494, 0.012, 0.00098, 0.00001)
-    texts = ["0.051", "0.0504", "0.0496", "0.049", "0.012", "0.0010", "≤ 0.0001"]
+    values = (0.0505, 0.0504, 0.05, 0.04996, 0.0494, 0.012, 0.00098, 0.00001)
+    texts = ["0.051", "0.0504", "0.050", "0.04996", "0.049", "0.012", "0.0010", "≤ 0.0001"]
     assert [formats.p_value(p) for p in values] == texts
 
 
