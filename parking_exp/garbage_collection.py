@@ -10,7 +10,7 @@ def no_garbage_collection(*, freeze: bool = False) -> Iterator[None]:
     """Pause garbage collection within a block.
 
     It takes 0.8 s of the import of torch, a quarter of the time of MLflow's imports and writes, and
-    a third of that of a large report.
+    a third of the time of a large report.
 
     Args:
         freeze: whether later collections leave out what exists at the end of the block.

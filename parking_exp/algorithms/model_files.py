@@ -23,7 +23,7 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
     """Load all parameters, optimizers and other tensors of a model.
 
     Raises:
-        ModelError: the file is damaged, holds something other than weights, or is that of another
+        ModelError: the file is damaged, holds something other than weights, or belongs to another
             model; some weights may have been loaded by then.
     """
     weights, variables = read_weights(path, model.device)
@@ -72,7 +72,11 @@ def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
 
 
 def read_actor(path: Path, device: torch.device | str) -> dict[str, torch.Tensor]:
-    """Return the weights of the actor in a model file, by name; raises as `read_weights`."""
+    """Return the weights of the actor in a model file, by name.
+
+    Raises:
+        ModelError: see `read_weights`.
+    """
     weights, _ = read_weights(path, device)
     policy = weights.get("policy")
     actor: dict[str, torch.Tensor] = {}

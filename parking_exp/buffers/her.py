@@ -30,12 +30,12 @@ class HerBuffer(DictReplayBuffer):
 
     The cost of sampling depends neither on the capacity nor on how full the buffer is. With
     `relabel_collision` and `relabel_terminated` at `sb3` and `goal_velocity` at `achieved`, which
-    are the defaults, batches are those of Stable-Baselines3's `HerReplayBuffer`. The buffer seeds
-    a generator of its own from NumPy's global one, once.
+    are the defaults, batches are as `HerReplayBuffer` of Stable-Baselines3 makes them. The buffer
+    seeds a generator of its own from NumPy's global one, once.
 
     `Storage` says how much memory a transition takes.
 
-    Args (others are those of `DictReplayBuffer`):
+    Args (others: see `DictReplayBuffer`):
         n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every
             batch. Those that the options below allow no virtual goal keep their own, and count as
             real.
@@ -83,7 +83,7 @@ class HerBuffer(DictReplayBuffer):
         reward: GoalReward,
     ) -> None:
         rows = max(buffer_size // n_envs, 1)
-        # Not that of DictReplayBuffer, which allocates arrays.
+        # Not DictReplayBuffer's method, which allocates arrays.
         BaseBuffer.__init__(self, rows, observation_space, action_space, device, n_envs)
         assert not optimize_memory_usage, "HerBuffer does not support optimize_memory_usage"
         strategies = get_args(GoalStrategy)
@@ -154,7 +154,7 @@ class HerBuffer(DictReplayBuffer):
     def sample(self, batch_size: int, env: None = None) -> DictReplayBufferSamples:  # type: ignore[override]
         """Sample a minibatch: real transitions first, then those with virtual goals.
 
-        Those of demonstrations follow, in the same order.
+        Demonstrated transitions follow, in the same order.
 
         Raises:
             RuntimeError: no episode has ended yet.
@@ -163,9 +163,9 @@ class HerBuffer(DictReplayBuffer):
         if self.demonstrations is None:
             return self._sample(batch_size)
         n_demonstrated = round(self.demonstration_share * batch_size)
-        own = self._sample(batch_size - n_demonstrated)
+        collected = self._sample(batch_size - n_demonstrated)
         demonstrated = self.demonstrations._sample(n_demonstrated)
-        return _join_minibatches(own, demonstrated)
+        return _join_minibatches(collected, demonstrated)
 
     def _sample(self, batch_size: int) -> DictReplayBufferSamples:
         """Sample a minibatch of this buffer's own transitions, without its demonstrations."""
@@ -185,7 +185,7 @@ class HerBuffer(DictReplayBuffer):
     def select_goals(self, index: np.ndarray, record: np.ndarray) -> np.ndarray:
         """Return the indices of the transitions whose next achieved goals become virtual goals.
 
-        The strategies are those of Andrychowicz et al. 2017, section 4.5 (arXiv:1707.01495).
+        The strategies come from Andrychowicz et al. 2017, section 4.5 (arXiv:1707.01495).
         A subclass may override this with its own strategy, which should sample from `self.rng`:
         checkpoints save it.
 

@@ -42,11 +42,11 @@ def find_factors(
     Without `experiments`, all cells belong to one. The value is None if a cell's config has no such
     key.
     """
-    whole = [with_defaults(config) for config in configs]
-    columns = _option_columns(whole, experiments)
+    complete = [with_defaults(config) for config in configs]
+    columns = _option_columns(complete, experiments)
     grouped = {f"{group}.name" for group in GROUPS}
-    varying = [key for key in differing_keys(whole) if key not in grouped]
-    _add_key_columns(columns, varying, whole)
+    varying = [key for key in differing_keys(complete) if key not in grouped]
+    _add_key_columns(columns, varying, complete)
     factors = [_factor(key, values, columns) for key, values in columns.items()]
     settings = []
     for number in range(len(configs)):

@@ -98,7 +98,7 @@ def _signature(call: Any) -> _Signature:
 
 
 def class_path(value: Any) -> Any:
-    """Return the dotted path that a class argument names: itself, or that of its `_target_`."""
+    """Return the dotted path of a class argument: the argument itself, or its `_target_`."""
     return value.get("_target_") if isinstance(value, Mapping) else value
 
 

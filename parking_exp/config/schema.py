@@ -172,7 +172,7 @@ class CheckpointConfig(ConfigModel):
 
 
 class StoreConfig(ConfigModel):
-    """A store other than that of the output directory."""
+    """A store other than the output directory's own."""
 
     uri: Uri | None
 

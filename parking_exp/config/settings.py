@@ -82,14 +82,14 @@ def differing_keys(configs: Sequence[FlatConfig]) -> list[str]:
 
 def with_defaults(config: FlatConfig) -> dict[str, Setting]:
     """Return a config with the defaults of the keys that stored configs leave out."""
-    whole: dict[str, Setting] = {}
+    complete: dict[str, Setting] = {}
     if "buffer.name" in config:
-        whole |= _defaults_left_out(BufferConfig, "buffer.")
+        complete |= _defaults_left_out(BufferConfig, "buffer.")
     task = config.get("env.task")
     if task in ENV_CONFIGS:
-        whole |= _defaults_left_out(ENV_CONFIGS[task], "env.")
-    whole |= config
-    return whole
+        complete |= _defaults_left_out(ENV_CONFIGS[task], "env.")
+    complete |= config
+    return complete
 
 
 def _defaults_left_out(model: type[BaseModel], prefix: str) -> dict[str, Setting]:

@@ -43,7 +43,11 @@ def validate(config: Config | RunConfig) -> RunConfig:
 
 
 def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
-    """Validate configs: our keys of all, then the arguments of classes; raises as `validate`."""
+    """Validate configs: our keys of all, then the arguments of classes.
+
+    Raises:
+        ConfigError: see `validate`.
+    """
     runs = []
     for config in configs:
         runs.append(parse_config(RunConfig, config, without=SWEEP_KEYS))
@@ -61,7 +65,8 @@ OF_RESOLVER = "ConfigError raised while resolving interpolation: "
 def parse_config(model: type[Model], config: Config, without: Set[str] = frozenset()) -> Model:
     """Resolve the interpolations of a config and check it, less some keys, against a schema.
 
-    Raises as `validate`.
+    Raises:
+        ConfigError: see `validate`.
     """
     try:
         node = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
@@ -77,7 +82,11 @@ def parse_config(model: type[Model], config: Config, without: Set[str] = frozens
 
 
 def parse_plain(model: type[Model], plain: Mapping[str, Any]) -> Model:
-    """Return plain values as a schema's model, once they are checked; raises as `validate`."""
+    """Return plain values as a schema's model, once they are checked.
+
+    Raises:
+        ConfigError: see `validate`.
+    """
     try:
         return model.model_validate(plain)
     except ValidationError as error:

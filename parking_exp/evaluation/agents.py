@@ -51,7 +51,11 @@ class Agent:
         return f"{self.config.experiment_name}: {label} ({self.config.cell_key})"
 
     def policy(self, task: "Task") -> "Policy":
-        """Return the policy, without exploration, for a task; raises as `load_model`."""
+        """Return the policy, without exploration, for a task.
+
+        Raises:
+            ParkingError: see `load_model`.
+        """
         from parking_exp.algorithms.build_model import GreedyPolicy
         from parking_exp.tasks.scripted_policy import build_scripted_policy
 
@@ -74,7 +78,7 @@ class Agent:
         from parking_exp.tasks.registry import make_task
 
         env = task.prediction_env()
-        # The features are those of training, also on another lot.
+        # The agent has the features it was trained with, also on another lot.
         trained_on = make_task(self.config.env)
         model = build_model(self.config, trained_on, env, seed=0, for_training=False)
         self.load_into(model)
@@ -125,9 +129,10 @@ def find_agent(
     trust: bool = False,
     key: str = "run",
 ) -> Agent:
-    """Find a trained agent; arguments and errors are those of `load_model`.
+    """Find a trained agent.
 
-    `key` is the config key that names the run; messages begin with it.
+    Arguments and errors are the same as of `load_model`. `key` is the config key that names the
+    run; messages begin with it.
     """
     if is_pretrained(run):
         return _find_pretrained(run, output_dir, model, key)
@@ -155,7 +160,7 @@ def find_agent(
 def find_agents(
     run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False
 ) -> list[Agent]:
-    """Find the agent of a run, or those of all finished runs in a folder."""
+    """Find the agent of a run, or the agents of all finished runs in a folder."""
     paths = [] if is_pretrained(run) else find_runs_below(directory_path(run))
     if not paths:
         return [find_agent(run, output_dir, model, trust=trust)]

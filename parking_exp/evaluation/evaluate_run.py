@@ -168,7 +168,7 @@ def _table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, floa
 
 
 def _env_labels(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return how the env of each evaluation differs from the others, and from that of training."""
+    """Return how the env of each evaluation differs from the others, and from the training env."""
     envs = [evaluation.env for evaluation in evaluations]
     envs += [evaluation.agent.config.env for evaluation in evaluations]
     factors, values = find_factors([_env_settings(env) for env in envs])

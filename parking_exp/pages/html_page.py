@@ -17,7 +17,7 @@ def render_html(template: Path, **values: Any) -> str:
     """Render a template that extends `base.html.j2`.
 
     Everything is escaped. The CSS and JS files that have the template's name become part of the
-    page, after those of all pages. The browser runs no other script and loads nothing.
+    page, after the files that all pages have. The browser runs no other script and loads nothing.
 
     Args:
         template: a file `NAME.html.j2` with `NAME.css` and `NAME.js` beside it.

@@ -125,8 +125,8 @@ def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
         labels = [cell.label for cell in cells if cell.label] or label_cells(configs, names)
     relabelled = []
     for number, cell in enumerate(cells):
-        own = replace(cell, id=f"c{number}", label=labels[number], settings=settings[number])
-        relabelled.append(own)
+        copy = replace(cell, id=f"c{number}", label=labels[number], settings=settings[number])
+        relabelled.append(copy)
     return relabelled, factors
 
 
@@ -178,9 +178,9 @@ def _list_words(cell: CellRuns) -> set[str]:
 def _split_condition(text: str, words: Words) -> list[str]:
     """Return `KEY=VALUE` of each value of a condition; commas may be part of a value."""
     key, _, values = text.partition("=")
-    whole = f"{key}={_normalise(without_quotes(values))}"
-    if any(whole in own for own in words.values()):
-        return [whole]
+    single = f"{key}={_normalise(without_quotes(values))}"
+    if any(single in of_cell for of_cell in words.values()):
+        return [single]
     return [f"{key}={_normalise(value)}" for value in _split_values(values)]
 
 
@@ -188,9 +188,9 @@ def _find_matching(words: Words, pattern: str, key: str) -> list[CellRuns]:
     """Return the cells that have a label, a name or a word, else those that a pattern fits."""
     fitting = [cell for cell in words if pattern in (cell.label, cell.name)]
     if not fitting:
-        fitting = [cell for cell, own in words.items() if pattern in own]
+        fitting = [cell for cell, of_cell in words.items() if pattern in of_cell]
     if not fitting:
-        fitting = [cell for cell, own in words.items() if fnmatch.filter(own, pattern)]
+        fitting = [cell for cell, of_cell in words.items() if fnmatch.filter(of_cell, pattern)]
     if fitting:
         return fitting
     if "=" in pattern:
@@ -239,7 +239,8 @@ def find_contrasts(
 ) -> tuple[list[tuple[CellRuns, CellRuns]], list[str], list[str]]:
     """Return the pairs of cells that experiments declare as `contrasts`.
 
-    Those of an experiment's first run count. They name its cells as in a report on it alone.
+    The contrasts of an experiment's first run count. They name its cells as a report on it alone
+    does.
 
     Returns:
         The pairs; the contrasts that name no cell, as `A minus B`; and warnings, a sentence for
@@ -249,16 +250,16 @@ def find_contrasts(
     unknown = []
     warnings = []
     for experiment in dict.fromkeys(cell.experiment for cell in cells):
-        own, _ = relabel([cell for cell in cells if cell.experiment == experiment])
+        labelled, _ = relabel([cell for cell in cells if cell.experiment == experiment])
         try:
-            declared = _read_contrasts(own)
-        # Those of a foreign store may be anything, and long ones are cut.
+            declared = _read_contrasts(labelled)
+        # In a foreign store they may be anything, and long ones are cut.
         except (ValueError, SyntaxError, MemoryError, RecursionError):
             warnings.append(f"{experiment}: its contrasts can't be read.")
             continue
         for names in declared:
             try:
-                first, second = [find_cell(own, name, "contrasts") for name in names]
+                first, second = [find_cell(labelled, name, "contrasts") for name in names]
             except ConfigError:
                 unknown.append(" minus ".join(names))
                 continue

@@ -75,7 +75,7 @@ class CellSummary:
     seeds: Sequence[RunSummary] = ()
     curve: Curve | None = None  # None without evaluations during training
     n_timed: int = 0  # seeds with enough evaluations to tell whether they held 90 %
-    n_reached_90: int = 0  # those of them that did
+    n_reached_90: int = 0  # timed seeds that held 90 %
     steps_to_90: float | None = None  # median; None where fewer than half of the seeds reach it
     cpu_s_to_90: float | None = None
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
@@ -171,7 +171,7 @@ class ReportData:
     notes: Sequence[str] = ()
     reference: str | None = None  # id of the cell in all pairs, if any: the baseline or the best
     declared: bool = False  # whether the pairs were declared as contrasts
-    tuning: "StoredSearch | None" = None  # the search; the name is that of `report.json`
+    tuning: "StoredSearch | None" = None  # the search; `report.json` calls it so
 
     @property
     def stages(self) -> Counter[str]:

@@ -76,7 +76,7 @@ def validate_report(config: DictConfig) -> ReportRequest:
             )
     for text in request.cells_asked:
         key, is_condition, _ = text.partition("=")
-        hint = did_you_mean(key, KEYS, cutoff=0.75)  # that of `form` and `from`
+        hint = did_you_mean(key, KEYS, cutoff=0.75)  # `form` and `from` have this ratio
         if is_condition and hint and key not in KEYS:
             raise ConfigError(f"{key}: there is no such key{hint}")
     return request

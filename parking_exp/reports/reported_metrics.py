@@ -1,4 +1,4 @@
-"""The metrics that reports show: this package's and those of users."""
+"""The metrics that reports show: this package's and users' own."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -37,7 +37,7 @@ PACKAGE_METRICS = [
 
 
 def reported_metrics(names: Iterable[str]) -> list[ReportedMetric]:
-    """Return the metrics of this package, then those of users among some columns or names.
+    """Return this package's metrics, then users' own among some columns or names.
 
     A user's metric is stored by its key alone, which serves as its name and its column.
     """

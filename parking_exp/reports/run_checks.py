@@ -33,7 +33,7 @@ def _leave_out_impossible(
 ) -> pd.DataFrame:
     """Return a frame with a column `run_id` without impossible rates.
 
-    `problems` gets a sentence for each run and rate; `names` are those of runs by their id.
+    `problems` gets a sentence for each run and rate; `names` has the names of runs by their id.
     """
     kept = frame.copy()
     # Keys of the config, such as `learning_rate`, are no metrics.

@@ -60,7 +60,7 @@
     gear_changes            int64     of parking
 
 `paths` has one row per step of the first 50 final episodes, of one run of each cell: the lowest
-seed that is done. Runs of some tasks have none, such as those of Gymnasium's environments.
+seed that is done. Runs of some tasks have none, such as runs on Gymnasium's environments.
 
     run_id                  str
     scene, step             int64     seed of the episode; policy step, 0 at the start
@@ -81,7 +81,7 @@ gzipped CSV files, which `pandas.read_csv` reads as well, and a JSON file:
                      run id
     report.json      problems; the search, if there is one
 
-Left out are metrics that none of the runs has, such as those of other tasks; evaluation episodes
+Left out are metrics that none of the runs has, such as other tasks' metrics; evaluation episodes
 during training; what `Results.episodes` has besides outcomes; paths; and everything that names a
 place on the machine. Numbers of runs have 12 significant digits, others 6.
 """

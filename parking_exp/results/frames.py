@@ -308,5 +308,5 @@ def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
     """Yield a sentence for each run that is there again, e.g. of directories that share a store."""
     repeated = runs[runs.duplicated(["experiment", "cell", "seed"])]
     for run in repeated.to_dict("records"):
-        place = f"{run['experiment']}, {run['cell']}, seed {run['seed']}"
-        yield f"{place}: several runs have this cell and seed"
+        seed_of_cell = f"{run['experiment']}, {run['cell']}, seed {run['seed']}"
+        yield f"{seed_of_cell}: several runs have this cell and seed"

@@ -134,7 +134,11 @@ def read_file(path: Path, limit: int = MAX_LARGE) -> bytes:
 
 
 def open_file(path: Path, limit: int = MAX_LARGE) -> BufferedReader:
-    """Open a file for reading; raises as `read_file`."""
+    """Open a file for reading.
+
+    Raises:
+        OSError: see `read_file`.
+    """
     file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb")
     status = os.fstat(file.fileno())
     if not stat.S_ISREG(status.st_mode):

@@ -82,8 +82,8 @@ class RunDirectory:
 
     @property
     def status(self) -> Status:
-        """Status in status.json; that of a run that was killed is still `running`."""
-        return self.read_status().get("status", "pending")
+        """Status in status.json; a run that was killed is still `running` there."""
+        return self.read_status().status or "pending"
 
     @property
     def is_status_damaged(self) -> bool:
@@ -93,12 +93,12 @@ class RunDirectory:
     @property
     def run_id(self) -> str | None:
         """MLflow run id, once the run has one."""
-        return self.read_status().get("run_id")
+        return self.read_status().run_id
 
     @property
     def tracking_uri(self) -> str | None:
         """Store that the run is tracked in; None where it is not tracked."""
-        uri = self.read_status().get("tracking_uri")
+        uri = self.read_status().tracking_uri
         return absolute_uri(uri, self.output_dir) if uri else None
 
     @property
@@ -118,9 +118,9 @@ class RunDirectory:
             (self.path / RESERVE).unlink(missing_ok=True)
         # Several processes change entries: a training, its supervisor, a sync.
         with FileLock(self.path / STATUS_LOCK):
-            changed = {**self.read_status(), **values}
-            kept = {key: value for key, value in changed.items() if value is not None}
-            write_json(self.path / STATUS_FILE, kept, durable=durable)
+            changed = self.read_status().model_copy(update=values)
+            entries = changed.model_dump(exclude_none=True)
+            write_json(self.path / STATUS_FILE, entries, durable=durable)
 
     def result(self) -> RunResult | None:
         """Return the stored result of a finished run; None if there is none, or it is damaged."""
@@ -145,12 +145,12 @@ class RunDirectory:
     def needs_evaluation(self, config: RunConfig) -> bool:
         """Return whether a finished run was evaluated with other settings than a config has."""
         entries = self.read_status()
-        settings = entries.get("evaluation", config.final_settings)
-        return entries.get("status") == "done" and settings != config.final_settings
+        is_evaluated_so = entries.evaluation in (None, config.final_settings)
+        return entries.status == "done" and not is_evaluated_so
 
     def evaluation_problem(self) -> str | None:
         """Return why a finished run can't be evaluated again, or None."""
-        steps = self.read_status().get("steps")
+        steps = self.read_status().steps
         if steps == 0:  # nothing was trained
             return None
         checkpoint = self.checkpoints / checkpoint_name(steps or 0)
@@ -248,6 +248,6 @@ class RunDirectory:
                 f"output_dir: {self.path} cannot be written: {error.strerror}"
             ) from error
 
-    def read_status(self) -> dict[str, Any]:
-        """Return the valid entries of status.json."""
+    def read_status(self) -> StatusEntries:
+        """Return the entries of status.json, none if it is missing or damaged."""
         return read_entries(self.path / STATUS_FILE, StatusEntries)[0]

@@ -61,7 +61,7 @@ def changed_files(run_dir: Path) -> list[str]:
         else:
             changed.append(summary)
     entries, _ = read_entries(run_dir / STATUS_FILE, StatusEntries)
-    if entries.get("status") == "done":
+    if entries.status == "done":
         changed += _find_changed(_finished_files(run_dir), run_dir / RESULT_FILE)
     return [str(file.relative_to(run_dir)) for file in changed]
 

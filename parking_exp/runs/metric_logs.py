@@ -29,7 +29,7 @@ def copy_logs(run_dir: Path, checkpoint: Path) -> None:
 
 
 def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
-    """Reset the logs to those of a checkpoint, or delete them."""
+    """Replace the logs by a checkpoint's, or delete them."""
     for name in LOGS:
         (run_dir / name).unlink(missing_ok=True)
         if checkpoint is not None and (checkpoint / name).exists():

@@ -3,7 +3,7 @@
 import json
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
@@ -54,6 +54,9 @@ class _Entries(BaseModel):
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
+Entries = TypeVar("Entries", bound=_Entries)
+
+
 class StatusEntries(_Entries):
     """Entries of status.json."""
 
@@ -88,16 +91,14 @@ class HeartbeatEntries(_Entries):
     doing: str | None = None
 
 
-def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], bool]:
+def read_entries(path: Path, schema: type[Entries]) -> tuple[Entries, bool]:
     """Return the entries of a file, none if it is missing or damaged, and whether it is damaged."""
     try:
         stored = read_json(path)
-        if stored is None:
-            return {}, False
-        schema.model_validate(stored)
+        entries = schema() if stored is None else schema.model_validate(stored)
     except (OSError, ValueError):
-        return {}, True
-    return {key: value for key, value in stored.items() if value is not None}, False
+        return schema(), True
+    return entries, False
 
 
 def write_config(directory: Path, config: RunConfig) -> None:

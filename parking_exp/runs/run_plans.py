@@ -47,17 +47,17 @@ def write_plan(
         return
     with suppress(RunLockedError), directory.supervisor_lock():
         status = directory.read_status()
-        if status.get("started") != started:
+        if status.started != started:
             return
-        if status.get("status") != "done" or directory.needs_evaluation(config):
+        if status.status != "done" or directory.needs_evaluation(config):
             make_pending(directory, config, label, **entries)
 
 
 def make_pending(directory: RunDirectory, config: RunConfig, label: str, **entries: Any) -> None:
     """Write the files of a pending run whose supervisor lock is held, or reopen a finished one.
 
-    There is no fsync: after a power cut, rerunning the command writes the files again. The
-    arguments are those of `write_plan`.
+    There is no fsync: after a power cut, rerunning the command writes the files again. For the
+    arguments see `write_plan`.
     """
     if directory.needs_evaluation(config):
         directory.reopen()
@@ -79,7 +79,7 @@ def make_pending(directory: RunDirectory, config: RunConfig, label: str, **entri
 def never_began(directory: RunDirectory) -> bool:
     """Return whether a run was planned, and no process has begun it."""
     status = directory.read_status()
-    is_planned = status.get("status") == "pending" and "started" not in status
+    is_planned = status.status == "pending" and status.started is None
     return is_planned and {file.name for file in directory.path.iterdir()} <= PLAN_FILES
 
 

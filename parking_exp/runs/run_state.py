@@ -70,7 +70,7 @@ def read_state(path: Path) -> RunState:
     seed = path.name.removeprefix("seed=")
     fields: dict[str, Any] = {
         "label": path.parent.name,
-        **entries,
+        **entries.model_dump(exclude_none=True),
         "run_dir": str(path),
         "experiment": path.parent.parent.name,
         "cell": path.parent.name,
@@ -78,15 +78,14 @@ def read_state(path: Path) -> RunState:
         "stage": "pending",
         "damaged": damaged,
     }
-    status = entries.get("status")
-    if status == "done":
-        fields |= {"stage": "done", "step": entries.get("steps", 0)}
+    if entries.status == "done":
+        fields |= {"stage": "done", "step": entries.steps or 0}
     elif RunDirectory(path).is_locked:
         fields |= {"stage": "running", **_read_running(path, entries)}
     else:
         fields["step"] = _saved_step(path)
-        if status == "failed":
-            fields |= {"stage": "failed", "reason": entries.get("error")}
+        if entries.status == "failed":
+            fields |= {"stage": "failed", "reason": entries.error}
     return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 
@@ -131,15 +130,15 @@ def by_cell(states: Iterable[RunState]) -> dict[tuple[str, str], list[RunState]]
     return cells
 
 
-def _read_running(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
+def _read_running(path: Path, entries: StatusEntries) -> dict[str, Any]:
     """Return the fields of a running run from its heartbeat."""
-    beat = HeartbeatEntries(**read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)[0])
-    if beat.time < entries.get("started", time.time()):  # of an earlier process, or none yet
+    beat, _ = read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)
+    started = time.time() if entries.started is None else entries.started
+    if beat.time < started:  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}
     left_s = None
-    total = entries.get("total_timesteps")
-    if beat.steps_per_s > 1e-3 and total is not None:
-        left_s = (total - beat.step) / beat.steps_per_s
+    if beat.steps_per_s > 1e-3 and entries.total_timesteps is not None:
+        left_s = (entries.total_timesteps - beat.step) / beat.steps_per_s
     return {
         "step": beat.step,
         "steps_per_s": beat.steps_per_s or None,

@@ -40,7 +40,7 @@ def compare(
     Args:
         pairs: of each comparison, the cells of both sides.
         alpha: the intervals of the family hold together at the level 1 - alpha.
-        n_pairs: the number of pairs of a larger family; 0: that of the pairs that have a p.
+        n_pairs: the number of pairs of a larger family; 0: as many as have a p.
     """
     p_values = [_test(a, b) for a, b in pairs]
     family_size = max(1, n_pairs, sum(p is not None for p in p_values))
@@ -65,11 +65,11 @@ def _test(a: Cells, b: Cells) -> float | None:
 
 
 def contrast(plus: Cells, minus: Cells = (), alpha: float = 0.05) -> Interval:
-    """Return the mean of some cells' means minus that of others, if there are any.
+    """Return the mean of some cells' means, less the mean of others' if there are any.
 
-    Its interval, at the level 1 - alpha, is made of those of the cells: the distances of their ends
-    from their means are added in squares (Zou & Donner 2008). A cell with a single seed leaves it
-    without an interval.
+    Its interval, at the level 1 - alpha, is made of the cells' intervals: the distances of their
+    ends from their means are added in squares (Zou & Donner 2008). A cell with a single seed leaves
+    it without an interval.
     """
     value, below, above = _average(plus, alpha)
     n = _count_seeds(plus)

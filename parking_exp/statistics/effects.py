@@ -53,11 +53,11 @@ def main_effects(
 ) -> list[MainEffect]:
     """Return the mean of cell means for every level of every factor that has more than one.
 
-    Cells, (level of each factor, rates), have equal weights. Intervals and p are those of
+    Cells, (level of each factor, rates), have equal weights. Intervals and p come from
     `compare`; seeds are permuted between cells that have the same levels of the other factors.
     There is no p where combinations are missing. Levels are in order, numbers before texts.
     """
-    by_factor = [_group_by_level(cells, place) for place in range(len(factors))]
+    by_factor = [_group_by_level(cells, number) for number in range(len(factors))]
     n_combinations = math.prod(len(levels) for levels in by_factor)
     complete = len({tuple(levels) for levels, _ in cells}) == n_combinations
     return [
@@ -68,12 +68,12 @@ def main_effects(
 
 
 def _group_by_level(
-    cells: Sequence[tuple[Sequence[Any], SeedRates]], place: int
+    cells: Sequence[tuple[Sequence[Any], SeedRates]], factor_number: int
 ) -> dict[Any, list[SeedRates]]:
     """Return the cells of each level of a factor, in the order of their other levels."""
     groups: dict[Any, list[SeedRates]] = {}
     for levels, rates in sorted(cells, key=lambda cell: str(cell[0])):
-        groups.setdefault(levels[place], []).append(rates)
+        groups.setdefault(levels[factor_number], []).append(rates)
     order = sorted(groups, key=lambda level: (isinstance(level, str), level))
     return {level: groups[level] for level in order}
 

@@ -10,7 +10,7 @@ class Interval:
     Attributes:
         value: e.g. the mean over seeds; None without data.
         low, high: None where the data allow for no interval, e.g. over one seed.
-        n: seeds behind it; behind a difference, those of the side that has fewer.
+        n: seeds behind it; behind a difference, the seeds of the side that has fewer.
     """
 
     value: float | None

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
     """Return the area under a learning curve over the range of its steps: 1 means always at 1.
 
-    The area is that of trapezoids between evaluations, divided by the range that they cover. NaN
+    The area consists of trapezoids between evaluations. It is divided by the range they cover. NaN
     values are dropped. A single evaluation is its own area.
     """
     value = np.asarray(values, dtype=float)

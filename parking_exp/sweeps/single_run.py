@@ -84,7 +84,7 @@ def _begin(directory: RunDirectory, config: RunConfig) -> None:
     if directory.result() is not None:
         say("already trained; its final model is evaluated again, with other settings")
     (own_label,) = label_cells([flatten_config(config.plain())], [config.cell_name])
-    planned_label = directory.read_status().get("label")  # in a sweep
+    planned_label = directory.read_status().label  # in a sweep
     make_pending(directory, config, config.label or planned_label or own_label)
     directory.reserve()
     directory.begin()

@@ -74,7 +74,7 @@ def _train(directory: RunDirectory, n_threads: int) -> int:
 
 
 def _redirect_output(path: Path) -> None:
-    """Append the output of this process, that of native code included, to a file."""
+    """Append the output of this process to a file, also what native code prints."""
     with path.open("ab") as log:
         os.dup2(log.fileno(), STDOUT)
         os.dup2(log.fileno(), STDERR)

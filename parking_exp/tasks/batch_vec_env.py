@@ -57,7 +57,7 @@ class BatchVecEnv(VecEnv):
 
     def sample(self, rng: np.random.Generator, number: int) -> Any:
         """Return random episodes, which no evaluation has."""
-        # Those of all tasks: a config's own `training_seeds` are for the first episodes.
+        # The seeds of all tasks: a config's own `training_seeds` are for the first episodes.
         seeds = TaskConfig.training_seeds
         return rng.integers(seeds.start, seeds.stop, number).tolist()
 
@@ -136,7 +136,7 @@ class BatchVecEnv(VecEnv):
     ) -> np.ndarray:
         """Return the reward of goals, without a penalty for failures.
 
-        Its shape is (batch,), that of the goals (batch, size of a goal).
+        Its shape is (batch,); goals have the shape (batch, size of a goal).
         """
         return self.goal_reward(achieved_goal, desired_goal)[0]
 

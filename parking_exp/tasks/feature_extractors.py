@@ -5,7 +5,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 
 class TaskFeatures(BaseFeaturesExtractor):
-    """Features without parameters; those of a transition depend on its observation alone.
+    """Features without parameters, which depend on the observation of a transition alone.
 
     They are computed inside the policy, so goals that HER relabels pass through them like any
     other.

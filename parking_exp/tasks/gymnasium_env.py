@@ -78,7 +78,7 @@ class GymnasiumReward(GoalReward):
     """The `compute_reward` of an environment, for many goals at once.
 
     A goal is reached where `compute_terminated` says so, if episodes end there, or else where the
-    reward is that of the goal itself.
+    reward is as high as at the goal itself.
     """
 
     def __init__(self, config: GymnasiumConfig) -> None:

@@ -144,8 +144,8 @@ def _env_of_worker(config: GymnasiumConfig, spec: EnvSpec | None) -> gym.Env:
     """Make an env in a process of its own, which leaves signals to the training: it ends with the
     pipe.
 
-    The process knows only environments that some module registers, not those of a notebook: `spec`
-    tells.
+    The process knows only environments that some module registers. `spec` tells it those that a
+    notebook registers.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

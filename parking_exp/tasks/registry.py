@@ -24,7 +24,7 @@ ENV_CONFIGS: dict[Any, type[TaskConfig]] = {"parking": ParkingConfig, "gymnasium
 
 
 def _config_tag(env: Any) -> str | None:
-    """Return which config an `env` group has: one of ours by its name, or that of any class."""
+    """Return which config an `env` group has: one of ours by its name, or any class's."""
     task = env.get("task") if isinstance(env, Mapping) else getattr(env, "task", None)
     if isinstance(task, str) and re.match(CLASS_PATH, task):
         return CUSTOM

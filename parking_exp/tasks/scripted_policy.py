@@ -16,7 +16,7 @@ class ScriptedPolicy(Policy):
 
     Args:
         task: the task of its episodes.
-        seed: the seed of its random numbers, which is that of the run.
+        seed: the seed of its random numbers, which is the run's.
     """
 
     max_batch_size = 20  # a planner takes seconds for it, after which progress is shown

@@ -58,7 +58,7 @@ def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
     files = files_for_store(directory, status)
     first_name = f"{config.cell_name}-seed={config.seed}"
     last_name = first_name
-    rate = directory.read_status().get("success_rate")
+    rate = directory.read_status().success_rate
     if status == "done" and rate is not None:
         last_name = f"{rate:.1%} {first_name}"
     return RunSnapshot(
@@ -87,12 +87,12 @@ def status_for_store(directory: RunDirectory) -> Status:
 def digest_for_store(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
     """Return a hash of what the store should have of a run, without parsing any file.
 
-    `files` are those of `files_for_store`; their names, sizes and times of change are hashed.
+    `files` come from `files_for_store`; their names, sizes and times of change are hashed.
     """
     entries = directory.read_status()
     state: list[Any] = [status]
     for name in ("error", *FROM_STATUS):
-        state.append(entries.get(name))
+        state.append(getattr(entries, name))
 
     sent = list(files.values())
     provenance = directory.path / PROVENANCE_FILE
@@ -122,8 +122,9 @@ def tags_for_store(directory: RunDirectory, config: RunConfig, store: Store) -> 
     if STARTED in provenance:
         tags[STARTED] = str(provenance[STARTED])
     for name in (*FROM_STATUS, INIT):
-        if name in entries:
-            tags[name] = str(entries[name])
+        value = getattr(entries, name)
+        if value is not None:
+            tags[name] = str(value)
     if not store.is_in_output_dir:
         tags[OUTPUT_ID] = output_id(directory.output_dir)
 
@@ -137,8 +138,8 @@ def tags_for_store(directory: RunDirectory, config: RunConfig, store: Store) -> 
     else:
         tags["run_dir"] = relative_path(directory.path, database_path.parent)
     tags["error"] = ""
-    if entries.get("status") == "failed":
-        tags["error"] = one_line(entries.get("error", ""))[:MAX_ERROR_LENGTH]
+    if entries.status == "failed" and entries.error is not None:
+        tags["error"] = one_line(entries.error)[:MAX_ERROR_LENGTH]
     return tags
 
 

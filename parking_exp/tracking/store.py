@@ -43,7 +43,7 @@ class Store:
     """An MLflow store; it connects at the first use.
 
     The store inside of `output_dir` may come from elsewhere with that directory: artifacts are read
-    and written below it only. Those of other stores may lie anywhere.
+    and written below it only. Artifacts of other stores may lie anywhere.
     """
 
     def __init__(self, uri: str, output_dir: Path | None) -> None:

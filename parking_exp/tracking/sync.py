@@ -53,7 +53,7 @@ def try_sync(directory: RunDirectory, store: Store) -> str | None:
 
 
 def adopt_store(directory: RunDirectory, config: RunConfig) -> None:
-    """Record the store of a command's config as that of a finished run, for the next sync.
+    """Record the store that a command's config names as a finished run's, for the next sync.
 
     A run that is tracked elsewhere keeps its store, unless `tracking.uri` is given.
     """

@@ -24,7 +24,7 @@ def derive_seeds(seed: int, training_seeds: range) -> RunSeeds:
 
     Args:
         seed: the run's seed.
-        training_seeds: the task's seeds, from which that of the first training env is taken.
+        training_seeds: the task's seeds; the first training env gets one of them.
     """
     policy, training, cross_check = np.random.SeedSequence(seed).generate_state(3).tolist()
     return RunSeeds(policy % 2**31, training_seeds[training % len(training_seeds)], cross_check)

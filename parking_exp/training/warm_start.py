@@ -29,8 +29,8 @@ from parking_exp.training import checkpoints
 # Networks that differ in these may have layers of the same shapes.
 OF_NETWORKS = ("_target_", "features", "normalize", "net_arch", "policy_kwargs")
 NETWORK_KEYS = tuple(f"algorithm.{name}" for name in OF_NETWORKS)
-# The rewards of stored transitions are those of their run. Keys that begin with one of these count,
-# too: `env.reward_weights`, for example.
+# A stored transition keeps the reward that its run gave it. Keys that begin with one of these
+# count, too: `env.reward_weights`, for example.
 BUFFER_KEYS = (
     "n_envs",
     "buffer._target_",

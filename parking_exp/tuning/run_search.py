@@ -106,7 +106,7 @@ def _print_request(
 
 
 def _train_trials(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
-    """Train while trials are left, also those of other processes, and sync the store."""
+    """Train while trials are left, also trials of other processes, and sync the store."""
     base = search.base
     request = search.request
     names = {f"seed={seed}" for seed in request.search.tuning_seeds}

@@ -122,7 +122,7 @@ class SearchConfig(ConfigModel):
 
 
 class TuneRequest(SweepOptions):
-    """The keys of `conf/tune.yaml` beside those of a run."""
+    """The keys of `conf/tune.yaml` beside the keys of a run."""
 
     search: SearchConfig
     n_trials: NumberOfTrials

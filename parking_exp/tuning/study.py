@@ -84,7 +84,7 @@ def open_storage(folder: Path) -> Any:
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     own_files = [*folder.glob(".*"), *folder.glob("study.*"), *folder.glob(f"{TRIALS_FOLDER}/*")]
-    refuse_links(own_files, folder)  # those of cells may be on another disk
+    refuse_links(own_files, folder)  # cells' folders may be on another disk
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / STUDY_FILE
     return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))

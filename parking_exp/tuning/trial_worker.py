@@ -1,7 +1,7 @@
 """Work on a search: claim trials, train each on its seeds, prune, and record the objective.
 
-The objective of a run is the normalised area under its success curve, 0 ... 1; that of a trial is
-the mean of its runs.
+The objective of a run is the normalised area under its success curve, 0 ... 1. The objective of a
+trial is the mean of its runs.
 """
 
 import errno

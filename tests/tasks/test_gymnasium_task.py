@@ -272,7 +272,7 @@ def test_ctrl_c_reaches_the_processes_of_envs_too_and_the_run_resumes(tmp_path):
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, errors = process.communicate(timeout=60)
     directory = only_run(tmp_path)
-    assert directory.read_status()["status"] == "interrupted", errors
+    assert directory.read_status().status == "interrupted", errors
     assert len(list(directory.checkpoints.glob("step=*"))) == 1
     assert process.returncode == 130
     run_script("train", *arguments, f"output_dir={tmp_path}", code=0)

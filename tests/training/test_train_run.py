@@ -323,8 +323,8 @@ def test_a_full_disk_under_a_checkpoint_fails_the_run_without_a_traceback(tmp_pa
     assert "OSError: [Errno 27] File too large" in failed.stderr
     directory = only_run(tmp_path)
     status, traceback = directory.read_status(), (directory.path / "traceback.txt").read_text()
-    assert status["status"] == "failed"
-    assert "File too large" in status["error"]
+    assert status.status == "failed"
+    assert "File too large" in status.error
     assert traceback.startswith("Traceback")
     assert "File too large" in traceback
     assert not [*directory.path.rglob(".tmp-*")]

@@ -35,8 +35,8 @@ def sample_minibatches(model: Any, steps: int, batch_size: int) -> Iterator[Mini
     """Sample the minibatches of `steps` updates, and yield them one by one.
 
     `HerBuffer` samples transitions independently, so it is sampled once for all of them. It returns
-    real and virtual transitions one after the other, and then those of demonstrations. Dealt out in
-    turn, each minibatch has its share of them, to within one transition.
+    real and virtual transitions one after the other, and then demonstrated ones. Dealt out in turn,
+    each minibatch has its share of them, to within one transition.
     """
     for first in range(0, steps, MAX_MINIBATCHES):
         yield from _sample(model, min(MAX_MINIBATCHES, steps - first), batch_size)

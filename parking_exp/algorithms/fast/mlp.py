@@ -47,8 +47,8 @@ class MLP:
     ) -> None:
         """Write the gradients by weights and biases into `out`, which is laid out as `tensors`.
 
-        `values` are what `forward` returned. `gradient` is that of the loss by the output, shape
-        (batch, outputs).
+        `values` are what `forward` returned. `gradient` is the gradient of the loss by the output,
+        shape (batch, outputs).
         """
         for index in range(len(self.layers) - 1, -1, -1):
             _outer(gradient, values[index], out[2 * index])

@@ -117,7 +117,7 @@ class SACUpdate:
 class _SquashedGaussian(NamedTuple):
     """Actions of a Gaussian policy squashed by tanh, and their log probabilities.
 
-    The operations are those of Stable-Baselines3 and torch.distributions, in their order. Terms
+    The operations and their order are as in Stable-Baselines3 and torch.distributions. Terms
     that cancel but for rounding are kept, since Adam's first steps magnify rounding.
 
     All have the shape (n, actions), `log_prob` (n, 1).

@@ -93,8 +93,8 @@ def _draw_map(percent: pd.DataFrame, row_name: str, column_name: str) -> Figure:
     for (row, column), value in np.ndenumerate(percent.to_numpy()):
         if np.isfinite(value):
             colour = text_colour(mesh.to_rgba(value))
-            place = (column + 0.5, row + 0.5)
-            axes.text(*place, f"{value:.1f}", color=colour, ha="center", va="center")
+            centre = (column + 0.5, row + 0.5)
+            axes.text(*centre, f"{value:.1f}", color=colour, ha="center", va="center")
     axes.invert_yaxis()
     axes.spines[:].set_visible(False)
     axes.set(xlabel=column_name, ylabel=row_name)

@@ -1,6 +1,6 @@
 """The tables of a report.
 
-Each function yields what it has; columns of rows are those of `tables/*.csv`.
+Each function yields what it has. Rows have the columns of `tables/*.csv`.
 """
 
 from collections.abc import Iterator
@@ -326,7 +326,7 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
 
 
 def _list_metrics(report: ReportData) -> list[ReportedMetric]:
-    """Return the metrics that some cell has, those of users last."""
+    """Return the metrics that some cell has, users' own metrics last."""
     names: set[str] = set()
     for cell in report.cells:
         names.update(cell.metrics)
@@ -334,7 +334,7 @@ def _list_metrics(report: ReportData) -> list[ReportedMetric]:
 
 
 def _list_rates(report: ReportData) -> list[ReportedMetric]:
-    """Return the rates that some cell has, that of timeouts last."""
+    """Return the rates that some cell has, the rate of timeouts last."""
     rates = [metric for metric in _list_metrics(report) if metric.is_rate]
     return sorted(rates, key=lambda rate: rate.name == "timeout")
 

@@ -21,8 +21,8 @@ REAR_AXLE_M = CAR_LENGTH_M / 2  # behind the middle of highway-env's car
 class DrivenBatch(EvaluationBatch):
     """Episodes of parking whose `info` also tells how the car was driven.
 
-    Paths are those of the middle of the rear axle, which moves in the direction of the heading.
-    They are straight between policy steps.
+    A path is where the middle of the rear axle goes, which moves in the direction of the heading.
+    Paths are straight between policy steps.
 
     Args:
         batch: the episodes; their first six observations are the car's pose.
@@ -36,7 +36,7 @@ class DrivenBatch(EvaluationBatch):
         self._radius_m = CAR_LENGTH_M / math.tan(max(-low, high))
         self._step_s = 1 / config.policy_frequency
         self._start, _ = _rear_axle(batch.observe())
-        self._place = self._start
+        self._pose = self._start
         n = len(batch)
         self._path_m = np.zeros(n)
         self._gear = np.zeros(n)
@@ -53,10 +53,10 @@ class DrivenBatch(EvaluationBatch):
     def step(self, actions: np.ndarray) -> Step:
         """Step all episodes; actions have the shape (n, 2)."""
         step = self.batch.step(actions)
-        place, speed = _rear_axle(step.observation)
-        moved = place[:, :2] - self._place[:, :2]
+        pose, speed = _rear_axle(step.observation)
+        moved = pose[:, :2] - self._pose[:, :2]
         self._path_m += np.hypot(*moved.T)
-        self._place = place
+        self._pose = pose
 
         gear = np.where(np.abs(speed) < STANDING_MPS, self._gear, np.sign(speed))
         self._gear_changes += gear * self._gear < 0
@@ -68,7 +68,7 @@ class DrivenBatch(EvaluationBatch):
         """Keep only some of the episodes, by mask."""
         self.batch.keep(rows)
         self._start = self._start[rows]
-        self._place = self._place[rows]
+        self._pose = self._pose[rows]
         self._path_m = self._path_m[rows]
         self._gear = self._gear[rows]
         self._gear_changes = self._gear_changes[rows]
@@ -82,7 +82,7 @@ class DrivenBatch(EvaluationBatch):
         `shortest_path_m` from where it started to where it ended.
         """
         shortest_path_m = reeds_shepp_m(
-            self._start[row].tolist(), self._place[row].tolist(), self._radius_m
+            self._start[row].tolist(), self._pose[row].tolist(), self._radius_m
         )
         return {
             **self.batch.info(row),
@@ -138,5 +138,5 @@ def move_ahead(poses: np.ndarray, distance_m: float) -> np.ndarray:
 def _rear_axle(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     """Return rear axles, x, y, heading, shape (n, 3) [m, m, rad], and speeds, (n,) [m/s]."""
     x, y, vx, vy, cos, sin = (observation["observation"][:, : len(SCALES)] * SCALES).T
-    place = np.stack([x - REAR_AXLE_M * cos, y - REAR_AXLE_M * sin, np.arctan2(sin, cos)], axis=1)
-    return place, vx * cos + vy * sin
+    pose = np.stack([x - REAR_AXLE_M * cos, y - REAR_AXLE_M * sin, np.arctan2(sin, cos)], axis=1)
+    return pose, vx * cos + vy * sin

@@ -135,7 +135,7 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
 
     Output, shape (batch, 19 + 9 K + N), one more if `reward_weights` weigh velocity. Column:
 
-        0 to 5  those of `EgoFrameExtractor`
+        0 to 5  as in `EgoFrameExtractor`
         6 to 9  x, y, cos and sin of the heading, as there, turned to the goal
         10, 11  the car along and across the goal's heading, seen from the goal (10 m)
         12, 13  the car's velocity in these directions (observation units)
@@ -150,7 +150,7 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     Args:
         observation_space: the env's observation space.
         reward_weights: the env's weights of the reward.
-        features_dim: number of features of car and goal, without that of a goal's speed.
+        features_dim: number of features of car and goal, without the speed of a goal.
         turned: whether the lot equals itself when it is turned by 180 degrees.
         lot: `lot_size_m` and `rays` of `EgoFrameExtractor`.
     """
@@ -220,8 +220,8 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     then learn one of two mirror images; the policies in `mirrored_policies` turn the steering
     around with them. In a `handed` lot, networks also see which of the two it is.
 
-    Output: that of `FineEgoFrameExtractor`; if the goal is to the right, all lateral features have
-    the other sign, and rays the opposite order. In a handed lot, a last feature is 1, or -1 if the
+    Output: as `FineEgoFrameExtractor`'s; if the goal is to the right, all lateral features have the
+    other sign, and rays the opposite order. In a handed lot, a last feature is 1, or -1 if the
     goal is to the right.
 
     Args:

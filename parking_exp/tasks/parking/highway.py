@@ -80,8 +80,8 @@ def _make_pose_env(config: ParkingConfig, render_mode: str | None) -> gym.Env:
 def skip_unused_work(env: gym.Env) -> None:
     """Leave out what takes 80 % of highway-env's time and changes no episode, until the next reset.
 
-    Four times a step, highway-env makes two data frames to read the pose of a car and that of its
-    goal. Three times a step, it looks up the lane of each car, which parking does not use. Motion,
+    Four times a step, highway-env makes two data frames to read the poses of a car and of its goal.
+    Three times a step, it looks up the lane of each car, which parking does not use. Motion,
     collisions, rewards and the end of an episode stay highway-env's.
     """
     parking_env: Any = env.unwrapped

@@ -55,8 +55,8 @@ class ParametricLot(SampledLot):
 
     The numbers of a scene choose, in this order, length and width of the slots, width of the aisle;
     x, y and heading of the start; the goal; the number of parked cars; one for each slot the order
-    in which cars take the slots, lowest first; and those of angle, pitch and end of the aisle that
-    are ranges.
+    in which cars take the slots, lowest first; and, where they are ranges, angle, pitch and end of
+    the aisle.
     """
 
     def __init__(self, config: LotConfig, vehicles_range: tuple[int, int]) -> None:
@@ -163,7 +163,7 @@ class ParametricLot(SampledLot):
 class SeveralLots(SampledLot):
     """Several lots, on one of which each scene is.
 
-    The first number of a scene chooses the lot. The numbers after it are those of that lot.
+    The first number of a scene chooses the lot. That lot makes the scene from the other numbers.
     """
 
     def __init__(self, lots: Sequence[ParametricLot]) -> None:
@@ -188,12 +188,12 @@ class SeveralLots(SampledLot):
         for index, lot in enumerate(self.lots):
             lot_draws = draws[lot_index == index, 1 : 1 + lot.n_draws]
             parts.append(self._pad(lot.scenes(lot_draws)))
-        # From the order of the lots back to that of the scenes.
-        place = np.argsort(np.argsort(lot_index, kind="stable"))
+        # From the order of the lots back to the order of the scenes.
+        scene_order = np.argsort(np.argsort(lot_index, kind="stable"))
         arrays = {}
         for name in vars(parts[0]):
-            in_order = np.concatenate([getattr(part, name) for part in parts])
-            arrays[name] = in_order[place]
+            by_lot = np.concatenate([getattr(part, name) for part in parts])
+            arrays[name] = by_lot[scene_order]
         return Scenes(**arrays)
 
     def _pad(self, scenes: Scenes) -> Scenes:

@@ -133,7 +133,7 @@ class LotConfig(ConfigModel):
     heading: Literal["in", "out"]
     neighbours: Literal["any", "taken"]
     starts: StartsConfig
-    # None: that of the env. Left out of stored configs then.
+    # None: the env's own number. Left out of stored configs then.
     vehicles_count: Annotated[VehiclesCount, Field(exclude_if=_is_missing)] = None
 
     @property
@@ -178,7 +178,7 @@ class LotConfig(ConfigModel):
         return LotDimensions(*dimensions.T)
 
     def extremes(self) -> LotDimensions:
-        """Return dimensions among which are those of the smallest and of the largest lot."""
+        """Return dimensions of lots among which are the smallest and the largest."""
         _, length = bounds(self.slot_length_m)
         _, width = bounds(self.slot_width_m)
         diagonal = np.degrees(np.arctan2(width, length))

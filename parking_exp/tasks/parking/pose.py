@@ -72,8 +72,8 @@ def pose_in_slot(
 ) -> PoseInSlot:
     """Return the pose of a car relative to its goal slot.
 
-    Positions are (x, y), the slot's size is its length and width,
-    by default that of highway-env's slots; each has the shape (2,).
+    Positions are (x, y), the slot's size is its length and width; each has the shape (2,). By
+    default the slot is as large as highway-env's.
     """
     direction = (math.cos(goal_heading), math.sin(goal_heading))
     ahead, side = in_frame(position - goal_position, direction)

@@ -64,7 +64,7 @@ def _series(name: str, values: Sequence[np.ndarray]) -> dict[str, Any]:
     unit, differences = FORMATS[name]
     episodes = []
     for episode in values:
-        whole = np.rint(episode / unit).astype(np.int64)
-        before = np.zeros((*whole.shape[:-1], differences), np.int64)
-        episodes.append(np.diff(whole, differences, prepend=before).tolist())
+        in_units = np.rint(episode / unit).astype(np.int64)
+        before = np.zeros((*in_units.shape[:-1], differences), np.int64)
+        episodes.append(np.diff(in_units, differences, prepend=before).tolist())
     return {"unit": unit, "differences": differences, "episodes": episodes}

@@ -52,7 +52,7 @@ class Scenes:
 
     @property
     def vehicle_pose(self) -> np.ndarray:
-        """Poses of the parked cars, shape (n, vehicles, 3); those of NO_SLOT are far away."""
+        """Poses of the parked cars, shape (n, vehicles, 3); those at NO_SLOT are far away."""
         poses = self.slots[np.arange(len(self))[:, None], self.vehicles]
         row, vehicle = np.nonzero(self.vehicles == NO_SLOT)
         poses[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other

@@ -42,7 +42,8 @@ def follow(
     curvature = np.clip(curvature, -max_curvature, max_curvature)
     steering = np.arctan(CAR_LENGTH_M * curvature)
 
-    # The simulator's speed is that of the centre, which is farther from the centre of the turn.
+    # The simulator's speed is the speed of the car's centre, which is farther from the centre of
+    # the turn.
     centre_speed_ratio = np.hypot(1.0, REAR_AXLE_M * curvature)
     step_s = dt * frames
     target_speed = next_speed * centre_speed_ratio + GAIN * along_error / step_s

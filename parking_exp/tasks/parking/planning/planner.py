@@ -125,7 +125,7 @@ class Planner(ScriptedPolicy):
         return {"plan_s": self._batch[row].plan_s}
 
     def plan(self, seed: int) -> Plan:
-        """Plan for a scene, that of `env.reset(seed=seed)`."""
+        """Plan for the scene of `env.reset(seed=seed)`."""
         began = time.perf_counter()
         trajectory = make_trajectory(self.find_path(seed), self._pace)
         return Plan(trajectory, time.perf_counter() - began)

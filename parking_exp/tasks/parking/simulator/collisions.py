@@ -94,7 +94,7 @@ class Fixtures:
     corners: np.ndarray  # shape (n, fixtures, 4, 2) [m]
 
     def repeated(self, n: int) -> "Fixtures":
-        """Return those of one scene for n scenes, as views, which take no memory."""
+        """Return the fixtures of one scene for n scenes, as views, which take no memory."""
         shapes = [np.broadcast_to(array[0], (n, *array.shape[1:])) for array in vars(self).values()]
         return Fixtures(*shapes)
 

@@ -1,7 +1,8 @@
 """Vehicle dynamics of highway-env's car, a kinematic bicycle model, for arrays of cars.
 
-Operations and their order are those of `Vehicle.step` and `ContinuousAction`, so that results agree
-to the last bit. Positions are in metres, headings and steering angles in radians, speeds in m/s.
+Operations and their order are the same as in `Vehicle.step` and `ContinuousAction`, so that results
+agree to the last bit. Positions are in metres, headings and steering angles in radians, speeds in
+m/s.
 """
 
 import numpy as np
