@@ -21,7 +21,8 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
         from parking_exp.sweeps.sweep import plan, sweep
 
         runs = compose_runs("config", overrides, extra_config_dir)
-        first = runs[0].cell_config  # all runs have the same keys of the sweep
+        cells = [run.cell for run in runs]
+        first = cells[0].config  # all runs have the same keys of the sweep
         sweep_keys = {name: first[name] for name in SweepOptions.model_fields}
         options = parse_config(SweepOptions, sweep_keys)
         planned = plan(runs, options.retry)
@@ -32,12 +33,12 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
             override.lstrip("+~").startswith("hydra/launcher") for override in overrides
         )
         # These need a supervisor, so that even a single run becomes a sweep.
-        is_elsewhere = names_launcher or runs[0].launcher != "local"
+        is_elsewhere = names_launcher or cells[0].launcher != "local"
         supervised = is_elsewhere or options.dry_run or options.retry or planned[0].config.timeout_s
 
     if len(planned) > 1 or supervised:
         is_due = any(run.is_due for run in planned)
-        launcher = make_launcher(runs, extra_config_dir, connect=is_due and not options.dry_run)
+        launcher = make_launcher(cells, extra_config_dir, connect=is_due and not options.dry_run)
         sweep(planned, launcher, dry_run=options.dry_run)
     else:
         with no_garbage_collection(freeze=True):

@@ -14,7 +14,7 @@ from hydra.types import HydraContext, RunMode
 from hydra.utils import get_class
 from omegaconf import DictConfig, open_dict
 
-from parking_exp.config.compose import ComposedRun, hydra_ready, user_options
+from parking_exp.config.compose import ComposedCell, hydra_ready, user_options
 from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError, first_line
 from parking_exp.phrases import plural
@@ -34,12 +34,12 @@ class Launcher(Protocol):
 
 
 def make_launcher(
-    runs: Sequence[ComposedRun], extra_config_dir: str | None = None, *, connect: bool = False
+    cells: Sequence[ComposedCell], extra_config_dir: str | None = None, *, connect: bool = False
 ) -> Launcher:
     """Make the launcher that a command line or its experiment file names, with checked settings.
 
     Args:
-        runs: the runs of one sweep.
+        cells: the cells of one sweep.
         extra_config_dir: Hydra's `--config-dir`.
         connect: whether to connect to the cluster now, before anything is on disk.
 
@@ -47,9 +47,9 @@ def make_launcher(
         ConfigError: it is unknown, not installed, set up wrongly or out of reach, or experiments
             name different ones.
     """
-    name = runs[0].launcher
-    settings = dict(runs[0].launcher_settings)
-    if any((run.launcher, run.launcher_settings) != (name, settings) for run in runs):
+    name = cells[0].launcher
+    settings = cells[0].launcher_settings
+    if any((cell.launcher, cell.launcher_settings) != (name, settings) for cell in cells):
         raise ConfigError(
             "these experiments have different launchers; name one with hydra/launcher=NAME"
         )

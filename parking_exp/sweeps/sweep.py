@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 
 from parking_exp.config.cell_labels import label_by_experiment
-from parking_exp.config.compose import ComposedRun
+from parking_exp.config.compose import ComposedCell, ComposedRun
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.settings import flatten_config
 from parking_exp.config.validate import validate_all
@@ -75,8 +75,8 @@ class PlannedRun:
 
 
 @dataclass(frozen=True)
-class _Cell:
-    """A checked cell of a sweep; its config has one of its seeds."""
+class _CheckedCell:
+    """A cell of a sweep; its config has one of its seeds."""
 
     config: RunConfig
     folder: Path
@@ -97,7 +97,7 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
 
     runs: dict[Path, PlannedRun] = {}
     for run in composed:
-        cell = cells[id(run.cell_config)]
+        cell = cells[run.cell]
         config = cell.config
         if run.seed is not None:
             config = config.model_copy(update={"seed": run.seed})
@@ -114,17 +114,17 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
     return list(runs.values())
 
 
-def _check_cells(composed: Sequence[ComposedRun]) -> dict[int, _Cell]:
-    """Check each cell once for all its seeds; return the cells by the ids of composed configs."""
-    unique = {id(run.cell_config): run.cell_config for run in composed}
-    cells = {}
-    for key, checked in zip(unique, validate_all(unique.values()), strict=True):
-        config = pin_source(checked)
-        cells[key] = _Cell(config, config.run_dir.parent)  # hashing the config takes time
-    return cells
+def _check_cells(composed: Sequence[ComposedRun]) -> dict[ComposedCell, _CheckedCell]:
+    """Check each cell once for all its seeds."""
+    cells = dict.fromkeys(run.cell for run in composed)
+    configs = validate_all(cell.config for cell in cells)
+    checked = {}
+    for cell, config in zip(cells, map(pin_source, configs), strict=True):
+        checked[cell] = _CheckedCell(config, config.run_dir.parent)  # hashing it takes time
+    return checked
 
 
-def _refuse_two_evaluations(cells: Iterable[_Cell]) -> None:
+def _refuse_two_evaluations(cells: Iterable[_CheckedCell]) -> None:
     """Refuse cells that differ in their final evaluation alone: they would be the same runs."""
     settings: dict[Path, dict[str, int]] = {}
     for cell in cells:

@@ -10,7 +10,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from parking_exp.config.cell_labels import GROUPS
-from parking_exp.config.compose import ComposedRun, compose_runs, hydra_ready
+from parking_exp.config.compose import ComposedCell, compose_runs, hydra_ready
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import parse_config, parse_plain, raise_problems, validate
@@ -27,14 +27,14 @@ _COMPOSING = threading.Lock()  # Hydra's state is global, and workers are thread
 
 
 @cache
-def _compose_groups(overrides: tuple[str, ...], extra_config_dir: str | None) -> ComposedRun:
+def _compose_groups(overrides: tuple[str, ...], extra_config_dir: str | None) -> ComposedCell:
     """Compose a trial's groups."""
     runs = compose_runs("tune", list(overrides), extra_config_dir)
     if len(runs) > 1 or runs[0].seed is not None:
         raise ConfigError(
             "a search takes one value for each key, and its seeds as search.tuning_seeds"
         )
-    return runs[0]
+    return runs[0].cell
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Search:
     overrides: Sequence[str]
     extra_config_dir: str | None = None
 
-    def compose(self, changes: Mapping[str, Any]) -> ComposedRun:
+    def compose(self, changes: Mapping[str, Any]) -> ComposedCell:
         """Return the config of a trial as Hydra composes it, with the keys of scripts/tune.py.
 
         Raises:
@@ -62,13 +62,13 @@ class Search:
             else:
                 values[key] = value
         with _COMPOSING, hydra_ready():
-            run = _compose_groups((*self.overrides, *options), self.extra_config_dir)
-            return run.with_values(values)
+            cell = _compose_groups((*self.overrides, *options), self.extra_config_dir)
+            return cell.with_values(values)
 
     @cached_property
     def request(self) -> TuneRequest:
         """The keys of scripts/tune.py, checked."""
-        config = self.compose({}).cell_config
+        config = self.compose({}).config
         if "search" not in config:
             raise ConfigError("search is missing; write search=NAME, e.g. search=smoke")
         return parse_config(TuneRequest, {key: config[key] for key in TuneRequest.model_fields})
@@ -85,7 +85,7 @@ class Search:
 
     def config(self, changes: Mapping[str, Any]) -> RunConfig:
         """Return the checked config of a trial; raises ConfigError if it can't run."""
-        plain: Any = OmegaConf.to_container(self.compose(changes).cell_config, resolve=True)
+        plain: Any = OmegaConf.to_container(self.compose(changes).config, resolve=True)
         for key in TuneRequest.model_fields:
             del plain[key]
         config = validate(plain)
@@ -122,10 +122,10 @@ class Search:
 
     def open(self) -> OpenStudy:
         """Return the study; create it, and its folder, if there is none yet."""
-        run = self.compose({})
+        cell = self.compose({})
         values = {}
         for key in self.request.search.space:
-            values[key] = run.options.get(key) or OmegaConf.select(run.cell_config, key.lstrip("+"))
+            values[key] = cell.options.get(key) or OmegaConf.select(cell.config, key.lstrip("+"))
         return open_study(self.folder, self.request.search, self.base, values, self._hash_options())
 
     def _hash_options(self) -> dict[str, str]:

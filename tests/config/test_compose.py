@@ -181,7 +181,7 @@ def test_a_cell_that_two_blocks_write_in_different_ways_is_one_cell(tmp_path):
     )
     runs = compose_runs("config", [f"experiment={path}"])
     expected = [(gamma, seed) for seed in (0, 1) for gamma in (0.9, 0.95, 0.99)]
-    assert [(run.cell_config.algorithm.gamma, run.seed) for run in runs] == expected
+    assert [(run.cell.config.algorithm.gamma, run.seed) for run in runs] == expected
     config = compose(f"experiment={path}", "algorithm.gamma=0.95", "seed=3")
     assert (config.algorithm.arguments["gamma"], config.seed) == (0.95, 3)
 
@@ -236,7 +236,7 @@ def test_the_launcher_of_an_experiment_file_is_used_unless_the_command_line_name
 
     def composed(*overrides):
         (run,) = compose_runs("config", [experiment, *overrides], own_options)
-        return run.launcher, run.launcher_settings["n_jobs"]
+        return run.cell.launcher, run.cell.launcher_settings["n_jobs"]
 
     assert composed() == ("slurm", 1)
     assert composed("hydra.launcher.n_jobs=5") == ("slurm", 5)

@@ -271,7 +271,8 @@ def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted():
         "hydra.launcher.parameters.slurm_qos=high",
         "+hydra.launcher.parameters.slurm_nodelist=n1",
     )
-    launcher = make_launcher(compose_runs("config", [*SLURM, *keys]))
+    runs = compose_runs("config", [*SLURM, *keys])
+    launcher = make_launcher([run.cell for run in runs])
     assert launcher.parameters["slurm_nodelist"] == "n1"
 
 

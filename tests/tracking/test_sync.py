@@ -161,7 +161,7 @@ def test_a_second_sync_changes_nothing_even_if_files_were_deleted_from_the_run_d
     shutil.rmtree(directory.checkpoints)
     (directory.path / "metrics.jsonl").unlink()
     assert sync_all(output_dir) == [None]
-    assert directory.run_id == status["run_id"]
+    assert directory.run_id == status.run_id
     assert stored_points(output_dir, directory.run_id) == points
     assert artifacts(store(output_dir), directory.run_id) == names
 

@@ -87,7 +87,7 @@ def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_p
     assert content["defaults"][1] == {"override /algorithm": "mine"}
     assert content["experiment_name"] == "tuned_mine"
     (run,) = compose_runs("config", [f"experiment={path}"], str(folder))
-    assert validate(run.cell_config).cell_key == search.config({"algorithm.gamma": 0.97}).cell_key
+    assert validate(run.cell.config).cell_key == search.config({"algorithm.gamma": 0.97}).cell_key
     command = shlex.split(out.getvalue().splitlines()[-1])
     assert command[-3:] == [f"experiment={path}", "--config-dir", str(folder)]
 
