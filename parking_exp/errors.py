@@ -2,7 +2,7 @@
 
 import errno
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 # Problems of disks and permissions. Any other `OSError` may be a bug, and keeps its traceback.
@@ -107,11 +107,18 @@ def reason_of_invalid_value(problem: Mapping[str, Any]) -> str:
 def reason_of_store_failure(error: BaseException) -> str:
     """Return in one line why a store failed, in the words of the system or sqlite if possible."""
     reported = error
+    if not isinstance(error, ParkingError):
+        for cause in _causes(error):
+            if isinstance(cause, OSError | sqlite3.Error):
+                reported = cause
+    return (one_line(reported) or type(reported).__name__)[:MAX_REASON_LENGTH]
+
+
+def _causes(error: BaseException) -> Iterator[BaseException]:
+    """Yield an error, its cause, the cause of that, and so on."""
     seen = []
     cause: BaseException | None = error
     while cause is not None and cause not in seen:
         seen.append(cause)
-        if isinstance(cause, OSError | sqlite3.Error) and not isinstance(error, ParkingError):
-            reported = cause
+        yield cause
         cause = cause.__cause__ or cause.__context__
-    return (one_line(reported) or type(reported).__name__)[:MAX_REASON_LENGTH]

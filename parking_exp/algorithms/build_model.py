@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from hydra.utils import get_class, instantiate
+from hydra.utils import instantiate
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
@@ -24,6 +24,7 @@ from parking_exp.algorithms.normalization import NormalizedExtractor, Normalizer
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, policy_class
 from parking_exp.config.schema import RunConfig
+from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.tasks.feature_extractors import SymmetricFeatures
 from parking_exp.tasks.task import Observation, Policy, Task
@@ -47,7 +48,7 @@ def build_model(
             saved.
     """
     target = config.algorithm.target
-    algorithm = get_class(target)
+    algorithm = import_object(target)
     node = dict(config.algorithm.arguments)
     custom_policy_kwargs = node.pop("policy_kwargs", None) or {}
     noise = node.pop("action_noise", None)
@@ -105,7 +106,7 @@ def _instantiate_classes(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
 
 def _buffer(config: RunConfig, env: VecEnv) -> dict[str, Any]:
     """Return the arguments of an algorithm that name its replay buffer."""
-    buffer_class = get_class(config.buffer.target)
+    buffer_class = import_object(config.buffer.target)
     arguments = dict(config.buffer.arguments)
     if issubclass(buffer_class, HerBuffer):
         (arguments["reward"],) = env.get_attr("goal_reward", 0)

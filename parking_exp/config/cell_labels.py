@@ -178,8 +178,8 @@ def _short_name(key: str, keys: Collection[str]) -> str:
     parts = key.split(".")
     for n_parts in range(1, len(parts)):
         ending = ".".join(parts[-n_parts:])
-        having = [other for other in keys if f".{other}".endswith(f".{ending}")]
-        if len(having) == 1:
+        with_ending = [other for other in keys if f".{other}".endswith(f".{ending}")]
+        if len(with_ending) == 1:
             return ending
     return key
 
@@ -202,9 +202,9 @@ def _with_null(key: str, values: Sequence[Setting], configs: Sequence[FlatConfig
     """
     options = [config.get(f"{key.partition('.')[0]}.name") for config in configs]
     pairs = list(zip(options, values, strict=True))
-    having = [option for option, value in pairs if value is not None]
+    options_with_key = [option for option, value in pairs if value is not None]
     shown: list[Setting] = []
     for option, value in pairs:
-        is_null = value is None and option in having
+        is_null = value is None and option in options_with_key
         shown.append("null" if is_null else value)
     return shown

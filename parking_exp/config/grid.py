@@ -48,7 +48,7 @@ def expand_points(
         _check_labels(axes.get("label", []), listed.get("label", set()), experiment)
     points: dict[Point, None] = {}
     for block in blocks or [{}]:
-        lines = []
+        choices = []
         for key, value in block.items():
             values = _values(value)
             if key in axes:
@@ -56,17 +56,17 @@ def expand_points(
                 if isinstance(value, list) or not _is_swept(key, blocks):
                     selectable |= set(axes[key]) - listed[key]
                 values = [item for item in axes[key] if item in selectable]
-            lines.append([_override(key, item) for item in values])
-        if not all(lines):
+            choices.append([_override(key, item) for item in values])
+        if not all(choices):
             continue
 
-        first = tuple(overrides[0] for overrides in lines)
+        first = tuple(overrides[0] for overrides in choices)
         for key, values in axes.items():
             if key not in block and (key not in listed or has(key, first)):
-                lines.append([_override(key, item) for item in values])
-        if len(points) + math.prod(map(len, lines)) > MAX_CELLS:
+                choices.append([_override(key, item) for item in values])
+        if len(points) + math.prod(map(len, choices)) > MAX_CELLS:
             raise ConfigError(f"a sweep has at most {MAX_CELLS} cells")
-        points |= dict.fromkeys(itertools.product(*lines))
+        points |= dict.fromkeys(itertools.product(*choices))
     if not points:
         narrowed = " ".join(f"{key}={','.join(axes[key])}" for key in axes if key in listed)
         raise ConfigError(f"{narrowed}: experiment={experiment} has no such cell")

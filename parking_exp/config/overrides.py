@@ -63,14 +63,14 @@ def parse_overrides(overrides: Iterable[str]) -> list[Override]:
     """Parse overrides, within `hydra_ready`."""
     parser = OverridesParser.create(GlobalHydra.instance().config_loader())
     parsed: list[Override] = []
-    for line in overrides:
+    for text in overrides:
         try:
-            parsed += parser.parse_overrides([line])
+            parsed += parser.parse_overrides([text])
         except ValueError as error:  # a number of thousands of digits, which Python does not read
-            key = line.partition("=")[0]
+            key = text.partition("=")[0]
             raise ConfigError(f"{key}: {first_line(error).partition(';')[0]}") from error
         if not parsed[-1].key_or_group:
-            raise ConfigError(f"{line}: there is no key before the equals sign; write KEY=VALUE")
+            raise ConfigError(f"{text}: there is no key before the equals sign; write KEY=VALUE")
     return parsed
 
 

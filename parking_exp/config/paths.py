@@ -92,7 +92,7 @@ def relative_path(path: Path, base: Path) -> str:
 
 
 def database_file(uri: str) -> Path | None:
-    """Return the file of an embedded store, None for any other."""
+    """Return the file of a sqlite store, None for any other."""
     return Path(uri.removeprefix(SQLITE)) if uri.startswith(SQLITE) else None
 
 

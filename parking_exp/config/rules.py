@@ -1,6 +1,7 @@
 """Rules between the keys of a config."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing
 
 from parking_exp.config.argument_limits import HER_OPTIONS
 from parking_exp.config.schema import RunConfig
@@ -83,19 +84,21 @@ def task_problems(runs: Iterable[RunConfig]) -> Iterator[str]:
 
     Each task is made once, which may take seconds.
     """
-    tasks: dict[str, Task] = {}
+    runs_by_env: dict[str, list[RunConfig]] = {}
     for run in runs:
-        key = run.env.model_dump_json()
-        if key not in tasks:
-            tasks[key] = make_task(run.env)
-            problems = list(tasks[key].problems())
+        runs_by_env.setdefault(run.env.model_dump_json(), []).append(run)
+
+    for runs_of_env in runs_by_env.values():
+        env = runs_of_env[0].env
+        with closing(make_task(env)) as task:
+            problems = list(task.problems())
             yield from problems
             if problems:
                 return
-        if run.is_trained and run.env.for_training().episode_steps() is None:
-            yield from length_problems(run, tasks[key].episode_steps)
-        yield from _noise_problems(run, tasks[key])
-        tasks[key].close()
+            for run in runs_of_env:
+                if run.is_trained and env.for_training().episode_steps() is None:
+                    yield from length_problems(run, task.episode_steps)
+                yield from _noise_problems(run, task)
 
 
 def _noise_problems(run: RunConfig, task: Task) -> Iterator[str]:
@@ -150,19 +153,19 @@ def update_ratio_warning(run: RunConfig) -> str | None:
 
 def _round_problems(run: RunConfig) -> Iterator[str]:
     """Yield a sentence for keys that set another round of updates, and for rounds that are long."""
-    asked = f"updates_per_step={run.updates_per_step}"
+    ratio = f"updates_per_step={run.updates_per_step}"
     train_freq, gradient_steps = run.update_round()
     for name, number in (("train_freq", train_freq), ("gradient_steps", gradient_steps)):
         given = run.algorithm.arguments.get(name)
         if given not in (None, number):
             yield (
-                f"algorithm.{name}={given}: it follows from {asked} and n_envs={run.n_envs}, which "
+                f"algorithm.{name}={given}: it follows from {ratio} and n_envs={run.n_envs}, which "
                 f"make it {number}; leave it null"
             )
     if train_freq > MAX_ROUND:
         near = run.update_ratio.limit_denominator(MAX_ROUND)
         yield (
-            f"{asked}: updates would come after {train_freq} steps of each env; try "
+            f"{ratio}: updates would come after {train_freq} steps of each env; try "
             f"updates_per_step={float(near)}"
         )
 
@@ -176,9 +179,6 @@ def _evaluation_problems(run: RunConfig) -> Iterator[str]:
                 f"evaluation.final_n_scenes={final} is below "
                 f"evaluation.{name}={getattr(evaluation, name)}"
             )
-    training_start = run.env.training_seeds.start
-    if evaluation.first_scene + final > training_start:
-        yield (
-            f"evaluation.first_scene={evaluation.first_scene} overlaps the training seeds; "
-            f"it can be {training_start - final} at most"
-        )
+    overlap = run.env.overlap_problem("evaluation.first_scene", evaluation.first_scene, final)
+    if overlap is not None:
+        yield overlap

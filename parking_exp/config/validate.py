@@ -19,6 +19,8 @@ from parking_exp.phrases import did_you_mean
 from parking_exp.tasks.registry import TASKS
 
 Model = TypeVar("Model", bound=BaseModel)
+# omegaconf puts this before the message of a ConfigError.
+OF_RESOLVER = "ConfigError raised while resolving interpolation: "
 Config = DictConfig | Mapping[str, Any]
 
 # Keys that define a sweep, not a run.
@@ -58,12 +60,8 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     return runs
 
 
-# omegaconf puts this before the message of a ConfigError.
-OF_RESOLVER = "ConfigError raised while resolving interpolation: "
-
-
 def parse_config(model: type[Model], config: Config, without: Set[str] = frozenset()) -> Model:
-    """Resolve the interpolations of a config and check it, less some keys, against a schema.
+    """Resolve the interpolations of a config, and check all keys but some against a schema.
 
     Raises:
         ConfigError: see `validate`.

@@ -1,5 +1,6 @@
 """Find trained agents: a run's models, and the pretrained policies of this package."""
 
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -79,8 +80,8 @@ class Agent:
 
         env = task.prediction_env()
         # The agent has the features it was trained with, also on another lot.
-        trained_on = make_task(self.config.env)
-        model = build_model(self.config, trained_on, env, seed=0, for_training=False)
+        with closing(make_task(self.config.env)) as trained_on:
+            model = build_model(self.config, trained_on, env, seed=0, for_training=False)
         self.load_into(model)
         return model
 

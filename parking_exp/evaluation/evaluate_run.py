@@ -140,8 +140,9 @@ def _check_envs(evaluations: Sequence[Evaluation]) -> None:
     """Check each env once for all its agents: making one may take seconds."""
     envs = {evaluation.env.model_dump_json(): evaluation.env for evaluation in evaluations}
     for env in envs.values():
+        raise_problems(env.problems())
         with closing(make_task(env)) as task:
-            raise_problems([*env.problems(), *task.problems()])
+            raise_problems(task.problems())
 
 
 def _table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, float]]) -> str:
@@ -192,21 +193,18 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     folder = evaluation.folder
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
-    with closing(make_task(evaluation.env)) as task:
+    with closing(make_task(evaluation.env)) as task, torch_settings(agent.config):
         policy = agent.policy(task)
-        with (
-            torch_settings(agent.config),
-            evaluation_progress(len(request.seeds), evaluation.env.name) as show,
-        ):
+        with evaluation_progress(len(request.seeds), evaluation.env.name) as show:
             episodes = evaluate_policy(policy, task, request.seeds, show)
+
         _clear_folder(folder)
         episodes.to_csv(folder / EPISODES_FILE, index=False)
         say(_headline(evaluation), *describe_episodes(episodes, task.metrics))
         if request.video:
             _write_video(policy, task, request, folder)
         if request.replay:
-            with torch_settings(agent.config):
-                _write_replay(policy, task, evaluation)
+            _write_replay(policy, task, evaluation)
 
     summary = summarise(episodes, task.metrics)
     _write_summary(evaluation, summary, rate_intervals(episodes, task.metrics))

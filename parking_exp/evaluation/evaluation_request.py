@@ -105,10 +105,7 @@ def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
         )
     if simulator != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
-    if request.seeds.stop > env.training_seeds.start:
-        highest = env.training_seeds.start - len(request.seeds)
-        raise ConfigError(
-            f"first_scene={request.first_scene} overlaps the training seeds; it can be at most "
-            f"{highest}"
-        )
+    overlap = env.overlap_problem("first_scene", request.first_scene, len(request.seeds))
+    if overlap is not None:
+        raise ConfigError(overlap)
     return env

@@ -7,8 +7,8 @@ from parking_exp.config.paths import directory_path, relative_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.evaluation.agents import Agent, find_agent, is_pretrained
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import LATEST, find_runs
-from parking_exp.runs.run_files import read_config
 
 
 def pin_source(config: RunConfig) -> RunConfig:
@@ -35,7 +35,7 @@ def _planned_source(config: RunConfig) -> str | None:
     """Return what `latest` was when runs of this config were planned; None if none were."""
     for path in find_runs(config.output_path, config.experiment_name):
         with suppress(ConfigError):  # it is damaged
-            planned = read_config(path, config.output_path)
+            planned = RunDirectory(path).config()
             as_typed = planned.model_copy(update={"init": LATEST})
             if planned.init_latest and as_typed.cell_key == config.cell_key:
                 return planned.init

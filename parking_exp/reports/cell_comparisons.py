@@ -92,29 +92,23 @@ def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pa
     differences = compare([([a], [b]) for a, b in rates], SIGNIFICANT, n_pairs)
 
     pairs = []
-    for number, (a, b) in enumerate(couples):
-        difference = differences[number]
+    for (a, b), (a_rates, b_rates), difference in zip(couples, rates, differences, strict=True):
         rank_p = None
         if difference.p is not None:
-            a_rates, b_rates = rates[number]
             rank_p = min(1.0, n_pairs * mannwhitneyu(a_rates.rates, b_rates.rates).pvalue)
-        pair = Pair(
-            a=a.id,
-            b=b.id,
-            difference=difference,
-            rank_p=rank_p,
-            verdict=judge(difference),
-        )
-        pairs.append(pair)
+        pairs.append(Pair(a.id, b.id, difference, rank_p, judge(difference)))
     return pairs
 
 
 def seed_rates(cell: CellSummary) -> SeedRates:
     """Return the final success of a cell's seeds, at least one, and the fewest episodes of one."""
-    seeds = [seed for seed in cell.seeds if seed.success is not None]
-    rates = [seed.success or 0.0 for seed in seeds]
-    n_episodes = min(seed.n_episodes or 0 for seed in seeds)
-    return SeedRates(rates, n_episodes or None)
+    rates = []
+    n_episodes = []
+    for seed in cell.seeds:
+        if seed.success is not None:
+            rates.append(seed.success)
+            n_episodes.append(seed.n_episodes or 0)
+    return SeedRates(rates, min(n_episodes) or None)
 
 
 def judge(difference: Difference) -> Verdict:

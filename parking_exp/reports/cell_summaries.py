@@ -14,6 +14,7 @@ from parking_exp.reports.reported_metrics import OF_EVERY_TASK, ReportedMetric, 
 from parking_exp.results.frames import TEXT, Results
 from parking_exp.runs.run_state import STAGES
 from parking_exp.statistics import (
+    HOLD,
     Interval,
     finite_or_none,
     interquartile_mean,
@@ -25,17 +26,15 @@ from parking_exp.statistics import (
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.registry import FAILURES, task_reports
 
-SUCCESS_THRESHOLD = 0.9
 RELIABLE = 0.95  # final success of a seed
-HOLD = 3  # evaluations in a row
 FINAL_EPISODES = "config.evaluation.final_n_scenes"  # column of runs; damaged configs lack it
 
 
 @dataclass(frozen=True)
 class RunEvaluations:
-    """Rows of `Results.curves` and `Results.episodes` by run id.
+    """Rows of `Results.curves` and `Results.episodes`, split by run id.
 
-    To select them for each run is slow.
+    They are split once, since selecting rows for each run is slow.
     """
 
     curves: dict[str, pd.DataFrame]
@@ -151,7 +150,7 @@ def _measure_curve(curve: pd.DataFrame | None) -> dict[str, Any]:
     if len(steps) > 1:
         fields["area"] = normalised_area(steps, success)
     if len(steps) >= HOLD:
-        step = steps_to(steps, success, SUCCESS_THRESHOLD, HOLD)
+        step = steps_to(steps, success)
         fields["reached_90"] = step is not None
         if step is not None:
             cpu_s = curve["cpu_s"].iloc[np.searchsorted(steps, step)]
@@ -210,11 +209,11 @@ def _summarise_task(
     cell: CellRuns, seeds: Sequence[RunSummary], evaluations: RunEvaluations
 ) -> dict[str, Any]:
     """Return the fields of a cell that hold what sections and figures of its task show."""
-    final = [evaluations.final[seed.run_id] for seed in seeds if seed.run_id in evaluations.final]
-    paths = evaluations.paths[evaluations.paths["run_id"].isin(cell.done["run_id"])]
-    task = next(iter(task_reports([cell.task])), None)
+    task = next(task_reports([cell.task]), None)
     if task is None:
         return {}
+    final = [evaluations.final[seed.run_id] for seed in seeds if seed.run_id in evaluations.final]
+    paths = evaluations.paths[evaluations.paths["run_id"].isin(cell.done["run_id"])]
     return {
         "task_data": task.cell_data(final, cell.config),
         "figure_data": task.figure_data(paths, cell.config),

@@ -8,7 +8,7 @@ import pandas as pd
 from parking_exp.config.settings import differing_keys, distinguishes_cells, with_defaults
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import Provenance, UnfinishedRun
-from parking_exp.runs.run_state import STAGE_WORDS
+from parking_exp.runs.run_state import NO_REASON, STAGE_WORDS
 
 VERSION = "version."
 SHORT_COMMIT = 10
@@ -54,7 +54,7 @@ def _list_unfinished(cells: Sequence[CellRuns]) -> Iterator[UnfinishedRun]:
         runs = cell.runs[~cell.runs["is_done"]].astype(object)
         for run in runs.where(runs.notna(), None).to_dict("records"):
             status = str(run["status"])
-            reason = run["error"] or REASONS.get(status, "no reason is known")
+            reason = run["error"] or REASONS.get(status, NO_REASON)
             yield UnfinishedRun(cell.label, int(run["seed"]), status, reason, run["run_dir"])
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from parking_exp.config.settings import Setting, display_setting
 from parking_exp.phrases import list_names, plural, quoted_label
 from parking_exp.reports.report_data import ReportData
-from parking_exp.runs.run_state import STAGE_WORDS
+from parking_exp.runs.run_state import describe_unfinished
 from parking_exp.tasks.registry import TRAINING_ONLY
 
 ENOUGH_SEEDS = 10
@@ -38,16 +38,16 @@ def find_caveats(report: ReportData) -> Iterator[str]:
 def find_missing(report: ReportData) -> Iterator[str]:
     """Yield which runs have no result."""
     runs = report.stages
-    stages = [f"{runs[stage]} {words}" for stage, words in STAGE_WORDS.items() if runs[stage]]
-    if stages:
-        yield f"Runs done: {runs['done']} of {runs.total()}; {', '.join(stages)}."
+    unfinished = describe_unfinished(runs)
+    if unfinished:
+        yield f"Runs done: {runs['done']} of {runs.total()}; {', '.join(unfinished)}."
     empty = [cell.label for cell in report.cells if not cell.counts["done"]]
     if empty:
         yield f"No run is done of {list_names(empty)}."
 
 
 def _find_mixed(report: ReportData) -> Iterator[str]:
-    origin = report.provenance
+    provenance = report.provenance
     n_episodes = []
     seeds = set()
     for cell in report.cells:
@@ -55,12 +55,12 @@ def _find_mixed(report: ReportData) -> Iterator[str]:
         if cell.seeds:
             seeds.add(tuple(seed.seed for seed in cell.seeds))
     conditions: dict[str, Iterable[Setting]] = {
-        **origin.versions,
-        "commits": origin.commits,
-        "machines, whose CPU-seconds cannot be compared": origin.machines,
+        **provenance.versions,
+        "commits": provenance.commits,
+        "machines, whose CPU-seconds cannot be compared": provenance.machines,
         "final episodes": n_episodes,
     }
-    for key, values in origin.difference.items():
+    for key, values in provenance.difference.items():
         if key in COMPARABLE:
             conditions[key] = values
     budgets = [cell.total_timesteps for cell in report.cells]
@@ -69,9 +69,9 @@ def _find_mixed(report: ReportData) -> Iterator[str]:
         names = [display_setting(value) for value in dict.fromkeys(seen)]
         if len(names) > 1:
             yield f"Mixed {condition}: {list_names(names)}."
-    if any(commit.endswith("+") for commit in origin.commits):
+    if any(commit.endswith("+") for commit in provenance.commits):
         yield "Some runs were made from files that differ from their commit (marked +)."
-    env_keys = [key for key in origin.difference if key.startswith("env.")]
+    env_keys = [key for key in provenance.difference if key.startswith("env.")]
     mixed = [key for key in env_keys if key not in TRAINING_ONLY]
     if mixed:
         yield f"Mixed tasks, whose rates are not of the same episodes: {list_names(mixed)} differ."

@@ -13,7 +13,6 @@ from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError
 from parking_exp.figure_style import clean, report_style
 from parking_exp.report_section import Section, SectionFigure, Table
-from parking_exp.reports.cell_summaries import HOLD
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves
 from parking_exp.reports.figures.comparison_figures import draw_pairs, draw_two_factors
 from parking_exp.reports.figures.study_figures import (
@@ -25,6 +24,7 @@ from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import describe_search, retest_table, trial_table
 from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import move_constants_to_caption
+from parking_exp.statistics import HOLD
 from parking_exp.tasks.registry import task_reports
 
 

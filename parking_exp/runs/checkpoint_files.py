@@ -4,6 +4,8 @@ from pathlib import Path
 
 from parking_exp.runs.atomic_files import read_object, sha256
 
+CHECKPOINTS = "checkpoints"  # folder of a run directory
+PREFIX = "step="
 MODEL = "model.zip"
 BUFFER = "replay_buffer.npz"
 MANIFEST = "manifest.json"
@@ -11,12 +13,18 @@ MANIFEST = "manifest.json"
 
 def checkpoint_name(step: int) -> str:
     """Return the name of a checkpoint's folder; names sort by step."""
-    return f"step={step:010d}"
+    return f"{PREFIX}{step:010d}"
 
 
 def find_checkpoints(folder: Path) -> list[Path]:
     """Return the checkpoints of a run's folder `checkpoints`, the newest last."""
-    return sorted(folder.glob("step=*"))
+    return sorted(folder.glob(f"{PREFIX}*"))
+
+
+def saved_step(folder: Path) -> int:
+    """Return the env step of the newest checkpoint of a run's folder `checkpoints`; 0 if empty."""
+    steps = [path.name.removeprefix(PREFIX) for path in find_checkpoints(folder)]
+    return max((int(step) for step in steps if step.isdecimal()), default=0)
 
 
 def checkpoint_problem(folder: Path) -> str | None:

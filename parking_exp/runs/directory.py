@@ -13,9 +13,9 @@ without any), `.lock` by the one that trains.
 import os
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from parking_exp.config.paths import absolute_uri, directory_path, refuse_links,
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
 from parking_exp.runs.atomic_files import read_object, write_json
-from parking_exp.runs.checkpoint_files import checkpoint_name, checkpoint_problem
+from parking_exp.runs.checkpoint_files import CHECKPOINTS, checkpoint_name, checkpoint_problem
 from parking_exp.runs.file_hashes import HASHES, hash_finished_files
 from parking_exp.runs.locks import is_held
 from parking_exp.runs.run_files import (
@@ -72,7 +72,7 @@ class RunDirectory:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.checkpoints = path / "checkpoints"
+        self.checkpoints = path / CHECKPOINTS
         self.models = path / "models"
 
     @property
@@ -124,23 +124,23 @@ class RunDirectory:
 
     def result(self) -> RunResult | None:
         """Return the stored result of a finished run; None if there is none, or it is damaged."""
-        if self.status != "done":
+        entries = self.read_status()
+        if entries.status != "done":
             return None
         stored = read_object(self.path / RESULT_FILE)
-        # The directory may have been moved since, and the store down.
         stored["run_dir"] = str(self.path.absolute())
-        stored["run_id"] = self.run_id
+        stored["run_id"] = entries.run_id
         try:
             return TypeAdapter(RunResult).validate_python(stored)
         except ValidationError:
             return None
 
-    def finish(self, result: RunResult, **values: Any) -> None:
+    def finish(self, steps: int, metrics: Mapping[str, float], **values: Any) -> None:
         """Write the result with hashes of the run's files, then the status with other entries."""
-        content = asdict(result)
-        content[HASHES] = hash_finished_files(self.path)
+        hashes = hash_finished_files(self.path)
+        content = {"steps": steps, "metrics": dict(metrics), HASHES: hashes}
         write_json(self.path / RESULT_FILE, content)
-        self.update_status(status="done", steps=result.steps, **values)
+        self.update_status(status="done", steps=steps, **values)
 
     def needs_evaluation(self, config: RunConfig) -> bool:
         """Return whether a finished run was evaluated with other settings than a config has."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from parking_exp.runs.atomic_files import read_object, sha256, write_json
-from parking_exp.runs.checkpoint_files import MODEL
+from parking_exp.runs.checkpoint_files import CHECKPOINTS, MODEL, find_checkpoints
 from parking_exp.runs.metric_logs import METRICS_FILE
 from parking_exp.runs.run_files import (
     CONFIG_FILE,
@@ -74,7 +74,7 @@ def evaluation_files(folder: Path) -> list[Path]:
 def _finished_files(run_dir: Path) -> list[Path]:
     """Return the files of a finished run that no longer change."""
     files = [run_dir / name for name in (CONFIG_FILE, METRICS_FILE, *WRITTEN_AT_THE_END)]
-    files += sorted(run_dir.glob(f"checkpoints/*/{MODEL}"))
+    files += [folder / MODEL for folder in find_checkpoints(run_dir / CHECKPOINTS)]
     return [file for file in files if file.is_file()]
 
 

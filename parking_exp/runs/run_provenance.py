@@ -15,6 +15,7 @@ from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.terminal import command_of, is_script
 
 PROVENANCE_FILE = "provenance.json"
+STARTED = "started_ms"  # entry of the file
 PACKAGES = (
     "torch",
     "stable-baselines3",
@@ -41,8 +42,8 @@ def provenance_tags() -> dict[str, str]:
 def record_provenance(run_dir: Path) -> None:
     """Write when a run was first started, and what trains it now, into its directory."""
     path = run_dir / PROVENANCE_FILE
-    started_ms = read_object(path).get("started_ms") or time.time_ns() // 1_000_000
-    write_json(path, {"started_ms": started_ms, "tags": provenance_tags()})
+    started_ms = read_object(path).get(STARTED) or time.time_ns() // 1_000_000
+    write_json(path, {STARTED: started_ms, "tags": provenance_tags()})
 
 
 def command_line() -> str | None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from parking_exp.runs.checkpoint_files import CHECKPOINTS, saved_step
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import (
     HEARTBEAT_FILE,
@@ -24,6 +25,7 @@ STAGE_WORDS: Mapping[Stage, str] = {
     "failed": "failed",
     "pending": "interrupted or not started",
 }
+NO_REASON = "no reason is known"
 # Fields that `status.py` does not show.
 NOT_SHOWN = (
     "status",
@@ -83,9 +85,9 @@ def read_state(path: Path) -> RunState:
     elif RunDirectory(path).is_locked:
         fields |= {"stage": "running", **_read_running(path, entries)}
     else:
-        fields["step"] = _saved_step(path)
+        fields["step"] = saved_step(path / CHECKPOINTS)
         if entries.status == "failed":
-            fields |= {"stage": "failed", "reason": entries.error}
+            fields |= {"stage": "failed", "reason": entries.error or NO_REASON}
     return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 
@@ -122,6 +124,11 @@ def count_stages(states: Iterable[RunState]) -> dict[str, int]:
     return {stage: stages.count(stage) for stage in STAGES}
 
 
+def describe_unfinished(counts: Mapping[str, int]) -> list[str]:
+    """Return how many runs are at each stage but `done`, e.g. `2 failed`; zeros are left out."""
+    return [f"{counts[stage]} {words}" for stage, words in STAGE_WORDS.items() if counts[stage]]
+
+
 def by_cell(states: Iterable[RunState]) -> dict[tuple[str, str], list[RunState]]:
     """Return the runs of each cell, by experiment and name of the cell, in the order of states."""
     cells: dict[tuple[str, str], list[RunState]] = {}
@@ -135,7 +142,7 @@ def _read_running(path: Path, entries: StatusEntries) -> dict[str, Any]:
     beat, _ = read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)
     started = time.time() if entries.started is None else entries.started
     if beat.time < started:  # of an earlier process, or none yet
-        return {"step": _saved_step(path), "doing": "starting"}
+        return {"step": saved_step(path / CHECKPOINTS), "doing": "starting"}
     left_s = None
     if beat.steps_per_s > 1e-3 and entries.total_timesteps is not None:
         left_s = (entries.total_timesteps - beat.step) / beat.steps_per_s
@@ -145,12 +152,6 @@ def _read_running(path: Path, entries: StatusEntries) -> dict[str, Any]:
         "left_s": left_s,
         "doing": beat.doing,
     }
-
-
-def _saved_step(path: Path) -> int:
-    """Return the env step of the newest checkpoint; 0 without one."""
-    names = [folder.name.removeprefix("step=") for folder in path.glob("checkpoints/step=*")]
-    return max((int(name) for name in names if name.isdecimal()), default=0)
 
 
 def as_plain(states: Sequence[RunState]) -> dict[str, Any]:

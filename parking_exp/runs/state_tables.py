@@ -51,7 +51,7 @@ def state_lines(
             elif kind == "stopped" and state.stage == "pending" and state.step:
                 text = f"resumes at step {_steps(state)}"
             elif kind == "failed" and state.stage == "failed":
-                text = f"{state.reason or 'no reason is known'}   {state.run_dir}"
+                text = f"{state.reason}   {state.run_dir}"
             elif kind == "damaged" and state.damaged:
                 text = f"status.json can't be read; it counts as {state.stage}   {state.run_dir}"
             if text is not None:

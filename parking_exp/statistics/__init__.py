@@ -14,6 +14,7 @@ from parking_exp.statistics.comparisons import (
 from parking_exp.statistics.effects import MainEffect, main_effects
 from parking_exp.statistics.intervals import Interval
 from parking_exp.statistics.learning_curves import (
+    HOLD,
     normalised_area,
     steps_to,
 )
@@ -27,6 +28,7 @@ from parking_exp.statistics.rates import (
 
 __all__ = [
     "ENOUGH_FOR_A_TEST",
+    "HOLD",
     "Difference",
     "Interval",
     "MainEffect",

@@ -19,8 +19,12 @@ def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
     return float(np.trapezoid(value, at) / (at[-1] - at[0]))
 
 
+THRESHOLD = 0.9
+HOLD = 3  # evaluations in a row
+
+
 def steps_to(
-    steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: int = 3
+    steps: ArrayLike, rates: ArrayLike, threshold: float = THRESHOLD, hold: int = HOLD
 ) -> float | None:
     """Return the first step from which `hold` evaluations in a row reach a threshold, if any.
 

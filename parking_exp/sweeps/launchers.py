@@ -79,8 +79,8 @@ def _plugin_launcher(
 ) -> "PluginLauncher":
     """Return a launcher that is a plugin of Hydra, made by Hydra from its settings."""
     loader = GlobalHydra.instance().config_loader()
-    lines = [*user_options(extra_config_dir), f"hydra/launcher={name}"]
-    config = loader.load_configuration("worker", lines, RunMode.MULTIRUN)
+    overrides = [*user_options(extra_config_dir), f"hydra/launcher={name}"]
+    config = loader.load_configuration("worker", overrides, RunMode.MULTIRUN)
     with open_dict(config):
         config.hydra.launcher = settings
     # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.

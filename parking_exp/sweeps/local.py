@@ -59,23 +59,23 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
     """
     # Workers die with their supervisor.
     with (
-        stop_on_signal(lambda number, _: os._exit(128 + number)) as request,
+        stop_on_signal(lambda number, _: os._exit(128 + number)) as stop,
         ThreadPoolExecutor(n_workers) as pool,
     ):
         devices = itertools.cycle(cuda_devices() or [None])
         futures = []
         for own_cores in divide_cores(available_cores(), n_workers):
-            train = partial(_train_on, request, own_cores, next(devices))
+            train = partial(_train_on, stop, own_cores, next(devices))
             futures.append(pool.submit(work, train))
-    request.raise_if_made()
+    stop.raise_if_made()
     for future in futures:
         future.result()
 
 
 def _train_on(
-    request: StopRequest, own_cores: Sequence[int], device: str | None, path: Path
+    stop: StopRequest, own_cores: Sequence[int], device: str | None, path: Path
 ) -> WorkerResult:
     """Train the run of a directory on the cores and the device of one worker."""
-    if request.is_made:
+    if stop.is_made:
         return "stopped"
-    return supervise(path, request, own_cores, device, LOCAL_START_METHOD)
+    return supervise(path, stop, own_cores, device, LOCAL_START_METHOD)

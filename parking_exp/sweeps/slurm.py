@@ -15,6 +15,7 @@ from typing import Any
 from parking_exp.config.paths import refuse_links
 from parking_exp.errors import ConfigError, FailedRunError, first_line
 from parking_exp.phrases import plural
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.local import valid_n_jobs
 from parking_exp.sweeps.supervisor import GRACE_S, supervise_job
@@ -61,23 +62,23 @@ class SlurmLauncher:
             UntrustedError: a link leads out of the output directory, to which submitit would write.
             InterruptedRunError: a signal stopped it.
         """
-        submitter = self._submitter(self._submitit_folder(paths[0].parents[2]))
+        submitter = self._submitter(self._submitit_folder(RunDirectory(paths[0]).output_dir))
         n_at_once = self.n_jobs or len(paths)
         waiting = list(paths)
         jobs: dict[Path, Any] = {}
         active: list[Any] = []
         # Jobs outlive a closed terminal.
-        with stop_on_signal(signals=(signal.SIGINT, signal.SIGTERM)) as request:
+        with stop_on_signal(signals=(signal.SIGINT, signal.SIGTERM)) as stop:
             try:
-                while (waiting or active) and not request.is_made:
-                    while waiting and len(active) < n_at_once and not request.is_made:
+                while (waiting or active) and not stop.is_made:
+                    while waiting and len(active) < n_at_once and not stop.is_made:
                         path = waiting.pop(0)
                         jobs[path] = _submit(submitter, path, active)
                     time.sleep(POLL_S)
                     active = _unfinished(active)
             finally:
                 _cancel(active)
-        request.raise_if_made()
+        stop.raise_if_made()
         return _early_ends(jobs)
 
     def _submitit_folder(self, output_dir: Path) -> Path:
@@ -125,7 +126,7 @@ def _unfinished(jobs: list[Any]) -> list[Any]:
     except (subprocess.SubprocessError, OSError) as error:  # e.g. the controller is restarting
         say(f"warning: {error}; trying again", stderr=True)
         return jobs
-    listed = done.stdout.split()
+    listed = set(done.stdout.split())
     return [job for job in jobs if job.job_id in listed]
 
 

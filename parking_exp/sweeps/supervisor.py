@@ -108,13 +108,13 @@ def _wait(
 
 
 def _record_end(
-    directory: RunDirectory, code: int, cause: str | None, timeout_s: float | None
+    directory: RunDirectory, exit_status: int, cause: str | None, timeout_s: float | None
 ) -> WorkerResult:
     """Return how a run ended, from its worker's exit status and status.json, and record it."""
     status = directory.status
     if status == "done":
         return "done"
-    if code == LOCKED_EXIT:
+    if exit_status == LOCKED_EXIT:
         return "elsewhere"
     if cause == "late":
         directory.update_status(
@@ -126,22 +126,22 @@ def _record_end(
     if cause == "stopped" or status == "interrupted":
         directory.update_status(status="interrupted")
         return "stopped"
-    was_killed = code == SERVER_LOST or -code in KILLS
-    reason = _describe_exit(directory, code)
+    was_killed = exit_status == SERVER_LOST or -exit_status in KILLS
+    reason = _describe_exit(directory, exit_status)
     directory.update_status(status="failed", error=reason, killed=was_killed or None)
     return "failed"
 
 
-def _describe_exit(directory: RunDirectory, code: int) -> str:
+def _describe_exit(directory: RunDirectory, exit_status: int) -> str:
     """Say why a worker that recorded no end of its run has exited."""
-    if code == -signal.SIGKILL:
+    if exit_status == -signal.SIGKILL:
         return "killed by SIGKILL (out of memory?)"
-    if code < 0:
-        return f"killed by {signal.Signals(-code).name}"
-    if code == SERVER_LOST:
+    if exit_status < 0:
+        return f"killed by {signal.Signals(-exit_status).name}"
+    if exit_status == SERVER_LOST:
         return "its process was lost, as the server that it was forked from was killed"
     log = directory.path / LOG_FILE
-    return f"its process ended with status {code} and without a result; see {log}"
+    return f"its process ended with status {exit_status} and without a result; see {log}"
 
 
 def supervise_job(path: Path) -> None:
@@ -153,7 +153,7 @@ def supervise_job(path: Path) -> None:
     """
     # Submitit sends the last when the time is nearly up.
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)
-    with stop_on_signal(None, signals) as request:
-        supervise(path, request)
-    if request.is_made:
+    with stop_on_signal(None, signals) as stop:
+        supervise(path, stop)
+    if stop.is_made:
         raise KeyboardInterrupt

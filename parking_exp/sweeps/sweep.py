@@ -24,7 +24,7 @@ from parking_exp.evaluation.init_sources import pin_source
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_plans import write_plan
-from parking_exp.runs.run_state import STAGE_WORDS, RunState, count_stages, read_state
+from parking_exp.runs.run_state import RunState, count_stages, describe_unfinished, read_state
 from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.launchers import Launcher
 from parking_exp.sweeps.monitor import Monitor
@@ -82,7 +82,7 @@ class _CheckedCell:
     folder: Path
 
     @property
-    def name(self) -> tuple[str, str]:
+    def identity(self) -> tuple[str, str]:
         """Its experiment, and its name in it."""
         return self.folder.parent.name, self.folder.name
 
@@ -91,9 +91,9 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
     cells = _check_cells(composed)
     _refuse_two_evaluations(cells.values())
-    settings = {cell.name: flatten_config(cell.config.plain()) for cell in cells.values()}
+    settings = {cell.identity: flatten_config(cell.config.plain()) for cell in cells.values()}
     labels = label_by_experiment(settings)
-    numbers = {name: number for number, name in enumerate(settings)}
+    numbers = {identity: number for number, identity in enumerate(settings)}
 
     runs: dict[Path, PlannedRun] = {}
     for run in composed:
@@ -106,10 +106,10 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
             runs[path] = PlannedRun(
                 config=config,
                 path=path,
-                label=labels[cell.name],
+                label=labels[cell.identity],
                 state=read_state(path),
                 retried=retry is not None,
-                cell_number=numbers[cell.name],
+                cell_number=numbers[cell.identity],
             )
     return list(runs.values())
 
@@ -229,7 +229,8 @@ def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
                 monitor.say(f"error: {problem}")
         else:
             time.sleep(POLL_S)
-        due = [path for path in due if _is_left(path, launched=path in free)]
+        launched = set(free)
+        due = [path for path in due if _is_left(path, launched=path in launched)]
 
 
 def _is_left(path: Path, *, launched: bool) -> bool:
@@ -241,9 +242,7 @@ def _is_left(path: Path, *, launched: bool) -> bool:
 def _check_all_done(states: Sequence[RunState]) -> None:
     """Raise FailedRunError unless every run is done."""
     by_stage = count_stages(states)
-    parts = [
-        f"{by_stage[stage]} {words}" for stage, words in STAGE_WORDS.items() if by_stage[stage]
-    ]
+    parts = describe_unfinished(by_stage)
     if not parts:
         return
     failed = [state.killed for state in states if state.stage == "failed"]

@@ -127,7 +127,7 @@ def _reward_problem(reward: GymnasiumReward, env_id: str) -> str | None:
 
 
 def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
-    """Return which goal never changes the rewards of random steps, `computed`, even far away."""
+    """Return which goal never changes `computed`, the rewards of random steps, even far away."""
     achieved = reward.steps.achieved
     infos = reward.steps.infos
     far = (achieved + FAR).astype(achieved.dtype)

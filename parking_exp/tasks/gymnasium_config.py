@@ -35,7 +35,7 @@ class GymnasiumConfig(TaskConfig):
         return self.max_episode_steps
 
     def problems(self) -> Iterator[str]:
-        """Yield a sentence for a success that would also count as a failure, and for a window."""
+        """Yield a sentence if the failure key tells of success, and one if a window would open."""
         success_keys = (self.success_key,) if self.success_key else SUCCESS_KEYS
         if self.failure_key in success_keys:
             yield (

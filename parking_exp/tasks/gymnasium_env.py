@@ -96,7 +96,7 @@ class GymnasiumReward(GoalReward):
 
     @cached_property
     def steps(self) -> RandomSteps:
-        """Return the steps of `random_steps`; leave the environment at the start of an episode."""
+        """The steps of `random_steps`. The environment is left at the start of an episode."""
         assert isinstance(self.env, GoalInfo)
         steps = random_steps(self.env.env)
         self.env.reset(seed=0)

@@ -109,7 +109,7 @@ class GymnasiumTask(Task):
 
 
 class EnvProcesses(SubprocVecEnv):
-    """Envs with a process each; a sentence says when one of them ends."""
+    """Envs with a process each. If one of them ends, an `EnvProcessError` says so."""
 
     def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
         with _process_errors():

@@ -3,8 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from hydra.utils import get_class
-
+from parking_exp.dotted_paths import import_object
 from parking_exp.tasks.task import Policy, Task
 
 
@@ -42,5 +41,5 @@ def build_scripted_policy(
         task: the task of its episodes.
         seed: the seed of its random numbers.
     """
-    policy: ScriptedPolicy = get_class(target)(task, seed, **arguments)
+    policy: ScriptedPolicy = import_object(target)(task, seed, **arguments)
     return policy

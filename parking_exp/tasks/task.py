@@ -66,7 +66,7 @@ class Policy(ABC):
     """What chooses the actions of episodes that are stepped together.
 
     Attributes:
-        max_batch_size: the largest number of episodes that an evaluation gives it at once.
+        max_batch_size: the largest number of episodes that it is given at once.
     """
 
     max_batch_size = sys.maxsize

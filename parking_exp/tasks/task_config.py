@@ -46,6 +46,19 @@ class TaskConfig(ConfigModel):
         """Return the longest episode in steps; None where only the environment knows."""
         raise NotImplementedError
 
+    def overlap_problem(self, setting: str, first_seed: int, n_episodes: int) -> str | None:
+        """Say why evaluation can't begin with a seed: its episodes would be training episodes.
+
+        `setting` is the key of the seed, for the sentence.
+        """
+        start = self.training_seeds.start
+        if first_seed + n_episodes <= start:
+            return None
+        return (
+            f"{setting}={first_seed} overlaps the training seeds; it can be at most "
+            f"{start - n_episodes}"
+        )
+
     @property
     def imports(self) -> dict[str, str]:
         """Keys by which making an env may import a module or open a file, and their values."""

@@ -41,7 +41,10 @@ class ReplayActions(gym.Wrapper):
         return self.env.step(action)
 
     def get_state(self) -> dict[str, Any]:
-        """Return how the episode started, None before any, and actions since, (steps, actions)."""
+        """Return what started the episode, and the actions since, shape (steps, actions).
+
+        `start` is None before the first reset.
+        """
         actions = np.array(self._actions, self.action_space.dtype)
         shape = (-1, *self.action_space.shape)
         return {"start": self._start, "actions": actions.reshape(shape)}

@@ -1,6 +1,6 @@
-"""Connect to an MLflow store without hanging, with a lock that an embedded store's writers share.
+"""Connect to an MLflow store without hanging, with a lock that the writers of a sqlite store share.
 
-The embedded store is a sqlite database. It takes one writer at a time, and MLflow has a second one
+A sqlite store takes one writer at a time, and MLflow has a second one
 wait for 20 s before it fails with "database is locked", so our writers queue for a lock file beside
 the database. Its journal stays sqlite's own rollback journal: a write-ahead log needs memory shared
 between processes, which network file systems lack. Readers (`mlflow ui`) need no lock.
@@ -87,7 +87,7 @@ def connect(uri: str) -> "MlflowClient":
 
 
 def write_lock(uri: str) -> AbstractContextManager[Any]:
-    """Return the lock that all writers to an embedded store share; other stores have their own."""
+    """Return the lock that all writers to a sqlite store share; other stores have their own."""
     path = database_file(uri)
     if path is None:
         return nullcontext()
@@ -98,7 +98,7 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
 
 
 def lock_path(path: Path) -> Path:
-    """Return the lock file of an embedded store."""
+    """Return the lock file of a sqlite store."""
     return path.with_name(f".{path.name}.lock")
 
 

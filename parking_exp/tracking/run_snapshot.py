@@ -16,12 +16,11 @@ from parking_exp.runs.file_hashes import evaluation_files, find_evaluations
 from parking_exp.runs.metric_logs import METRICS_FILE
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import CONFIG_FILE, EVALUATIONS, WRITTEN_AT_THE_END, Status
-from parking_exp.runs.run_provenance import PROVENANCE_FILE
+from parking_exp.runs.run_provenance import PROVENANCE_FILE, STARTED
 from parking_exp.tracking.store import Store
 
 # Tags.
 DIGEST = "mirrored"
-STARTED = "started_ms"
 STATUS = "status"
 OUTPUT_ID = "output_id"
 FROM_STATUS = ("command", "search", "trial")
@@ -144,8 +143,9 @@ def tags_for_store(directory: RunDirectory, config: RunConfig, store: Store) -> 
 
 
 def files_for_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
-    """Return the files for the store, by their names there; those that grow with the run come at
-    its end.
+    """Return the files for the store, by their names there.
+
+    Files that grow while the run trains are sent once it has ended.
     """
     path = directory.path
     files = {CONFIG_FILE: path / CONFIG_FILE}

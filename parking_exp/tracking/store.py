@@ -53,7 +53,7 @@ class Store:
         self._output_dir: Path | None = None
         if self._database and output_dir and self._database.is_relative_to(output_dir):
             self._output_dir = output_dir
-        self._runs = dict[frozenset[str], "list[Run]"]()  # of `runs`
+        self._runs: dict[frozenset[str], list[Run]] = {}  # of `runs`
 
     @property
     def is_in_output_dir(self) -> bool:
@@ -136,7 +136,7 @@ class Store:
                 return runs
 
     def run_dir(self, run: "Run") -> Path | None:
-        """Return the run directory in a tag; relative ones start at the embedded store's folder."""
+        """Return the run directory in a tag; relative ones start at the database's folder."""
         tag = run.data.tags.get("run_dir")
         if not tag or not tag.isprintable():
             return None

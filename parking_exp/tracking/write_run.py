@@ -19,10 +19,10 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.file_hashes import changed_files, has_hashes
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.run_files import CONFIG_FILE
+from parking_exp.runs.run_provenance import STARTED
 from parking_exp.tracking.run_snapshot import (
     DIGEST,
     OUTPUT_ID,
-    STARTED,
     STATUS,
     RunSnapshot,
     take_snapshot,
@@ -45,9 +45,9 @@ def write_run(directory: RunDirectory, store: Store) -> None:
     run, earlier = _find(directory, store, experiment_id, tags)
     if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
         return  # its results stay until that is done
-    for each in earlier:
+    for replaced in earlier:
         with store.writing() as client:
-            client.delete_run(each.info.run_id)  # it can be restored in MLflow's UI
+            client.delete_run(replaced.info.run_id)  # it can be restored in MLflow's UI
 
     if run is None:
         first_tags = {**tags, STATUS: "running"}
@@ -172,7 +172,7 @@ def _find(
     so is what has no owner, unless it is this very training.
     """
     own_id = tags.get(OUTPUT_ID)  # None in the output directory's own store
-    found: Run | None = None
+    own_run: Run | None = None
     earlier = []
     for run in store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'"):
         run_dir = store.run_dir(run)
@@ -187,6 +187,6 @@ def _find(
             is_same = run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]
             if not is_same and owner == own_id:
                 earlier.append(run)
-        if is_same and found is None:
-            found = run
-    return found, earlier
+        if is_same and own_run is None:
+            own_run = run
+    return own_run, earlier

@@ -214,7 +214,9 @@ def _buffer_state(buffer: ReplayBuffer | None) -> dict[str, np.ndarray]:
 
 
 def load_transitions(path: Path, buffer: ReplayBuffer | None) -> None:
-    """Give a fresh buffer the transitions of a checkpoint's, whose episodes under way end there.
+    """Load the transitions of a checkpoint's replay buffer into a fresh one.
+
+    Episodes that were under way end there.
 
     Raises:
         ModelError: the transitions have other fields.

@@ -24,11 +24,11 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ModelError
 from parking_exp.runs.atomic_files import replacing
 from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.rollout import seed_batches
 from parking_exp.tasks.scripted_policy import ScriptedPolicy, build_scripted_policy
 from parking_exp.tasks.task import Task
 
 DEMONSTRATOR_SEED = 0  # of the policy: the seeds of a cell share their demonstrations
-BATCH = 20  # episodes that are driven together, after which progress is shown
 POLL_S = 1.0  # between two looks at whether another run is done with the file
 
 Transition = tuple[Any, ...]
@@ -130,19 +130,20 @@ def _record_episodes(
     on_progress: Callable[[int], None],
 ) -> int:
     """Add an episode for each of the last training seeds, and return how many are successful."""
+    n_recorded = 0
     n_successes = 0
     all_seeds = config.env.training_seeds[-config.buffer.demonstrations :]
     with closing(make_task(config.env)) as task:
         arguments = dict(config.buffer.demonstrator)
         target = arguments.pop("_target_")
         policy = build_scripted_policy(target, arguments, task, DEMONSTRATOR_SEED)
-        for first in range(0, len(all_seeds), BATCH):
-            seeds = all_seeds[first : first + BATCH]
-            on_batch_progress = partial(on_progress, first)
+        for seeds in seed_batches(all_seeds, task, policy):
+            on_batch_progress = partial(on_progress, n_recorded)
             policy.start(seeds, on_batch_progress)
             with closing(task.training_envs(len(seeds))) as envs:
-                envs.seed(seeds.start)
+                envs.seed(seeds[0])  # the seeds are consecutive
                 episodes = _drive(policy, envs, on_batch_progress)
+            n_recorded += len(seeds)
             for episode in episodes:
                 for obs, next_obs, action, reward, done, infos in episode:
                     scaled = model.policy.scale_action(action)

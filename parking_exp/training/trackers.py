@@ -37,8 +37,8 @@ class RunTrackers:
     def __init__(self, config: RunConfig) -> None:
         self._trackers: list[Tracker] = []
         for node in config.tracking.trackers or ():
-            make = instantiate(node, _partial_=True, _convert_="all")
             try:
+                make = instantiate(node, _partial_=True, _convert_="all")
                 tracker = make(config=config.plain(), run_dir=config.run_dir)
             except Exception as error:
                 self._report(node["_target_"], error)

@@ -8,10 +8,15 @@ import torch
 
 from parking_exp.algorithms.build_model import torch_settings
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
+from parking_exp.errors import (
+    ConfigError,
+    FailedRunError,
+    InterruptedRunError,
+    class_and_message,
+)
 from parking_exp.evaluation.evaluate_policy import describe_episodes
 from parking_exp.runs.atomic_files import write_atomically
-from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_files import TRACEBACK_FILE
 from parking_exp.runs.run_provenance import record_provenance
@@ -62,7 +67,7 @@ def train_run(
     except BaseException as error:
         _record_failure(error, directory)
         raise FailedRunError(
-            f"the run failed: {type(error).__name__}: {error}; its traceback is in "
+            f"the run failed: {class_and_message(error)}; its traceback is in "
             f"{directory.path / TRACEBACK_FILE}"
         ) from error
     finally:
@@ -103,7 +108,8 @@ def _train_and_evaluate(
     metrics = session.metrics_log.latest()
     description = describe_episodes(episodes, session.task.metrics)
     directory.finish(
-        RunResult(str(directory.path), directory.run_id, session.step, metrics),
+        session.step,
+        metrics,
         success_rate=metrics.get("final/success_rate"),
         wall_s=metrics.get("time/wall_s"),
         cpu_s=metrics.get("time/cpu_s"),
@@ -115,10 +121,8 @@ def _train_and_evaluate(
 def _record_failure(error: BaseException, directory: RunDirectory) -> None:
     """Record status and traceback, as far as a full disk allows."""
     try:
-        directory.update_status(status="failed", error=f"{type(error).__name__}: {error}")
+        directory.update_status(status="failed", error=class_and_message(error))
         text = "".join(traceback.format_exception(error))
         write_atomically(directory.path / TRACEBACK_FILE, text)
     except Exception as second_error:  # the first is reported
-        error.add_note(
-            f"while recording the failure: {type(second_error).__name__}: {second_error}"
-        )
+        error.add_note(f"while recording the failure: {class_and_message(second_error)}")

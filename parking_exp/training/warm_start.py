@@ -101,14 +101,16 @@ def _find_buffer(config: RunConfig, agent: Agent) -> Path:
 
 
 def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) -> None:
-    own = with_defaults(flatten_config(config.plain()))
+    target = with_defaults(flatten_config(config.plain()))
     source = with_defaults(flatten_config(agent.config.plain()))
-    for key in differing_keys([own, source]):
+    for key in differing_keys([target, source]):
         is_of_optimizer = key.startswith("algorithm.policy_kwargs.optimizer")
-        is_empty = key == "algorithm.policy_kwargs"  # for one of both
+        is_empty = (
+            key == "algorithm.policy_kwargs"
+        )  # where one config has no arguments of the policy
         if key.startswith(keys) and not (is_of_optimizer or is_empty):
             raise ConfigError(
                 f"init={config.init} does not fit: its {key} is "
                 f"{display_setting(source.get(key))}, and this run's is "
-                f"{display_setting(own.get(key))}"
+                f"{display_setting(target.get(key))}"
             )

@@ -21,7 +21,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.evaluation.evaluate_policy import summarise
 from parking_exp.runs.atomic_files import sha256, write_json
-from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
 from parking_exp.runs.run_provenance import provenance_tags
 from parking_exp.tasks.metrics import episode_columns
@@ -195,7 +195,7 @@ def _write(directory, config, look, label, uri):
     entries = {"label": label, "total_timesteps": config.total_timesteps, "tracking_uri": uri}
     if look.status == "done":
         latest = {key: value for line in lines for key, value in line["metrics"].items()}
-        directory.finish(RunResult(str(path), None, config.total_timesteps, latest), **entries)
+        directory.finish(config.total_timesteps, latest, **entries)
         return
     directory.update_status(status=look.status, error=look.error, **entries)
     if lines:  # a checkpoint, without which the store gets no metrics yet

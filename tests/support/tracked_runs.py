@@ -5,7 +5,7 @@ from contextlib import closing
 
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
-from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_provenance import provenance_tags
 from support.runs import smoke_config
 from support.sync_processes import grow
@@ -29,7 +29,7 @@ def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
 
 def finish(directory):
     (directory.path / "episodes.csv").write_text("phase,step\n")
-    directory.finish(RunResult(str(directory.path), directory.run_id, 1, {}))
+    directory.finish(1, {})
 
 
 def finished_run(output_dir, seed=0, **changes):

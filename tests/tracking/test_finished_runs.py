@@ -30,7 +30,8 @@ def finished(output_dir):
     directory = finished_run(output_dir)
     directory.models.mkdir(exist_ok=True)
     (directory.models / "final.zip").write_bytes(b"model" * 100)
-    directory.finish(directory.result())
+    result = directory.result()
+    directory.finish(result.steps, result.metrics)
     sync(directory)
     return directory
 
@@ -154,7 +155,8 @@ def test_a_run_is_done_in_the_store_once_all_of_it_is_there(output_dir, monkeypa
     content = (first.path / "metrics.jsonl").read_bytes()
     (last.path / "metrics.jsonl").write_bytes(content)
     (last.path / "episodes.csv").write_text("phase,step\n")
-    last.finish(first.result())
+    result = first.result()
+    last.finish(result.steps, result.metrics)
     seen = []
     put = Store.put_artifact
 
@@ -228,7 +230,7 @@ def test_a_run_that_is_evaluated_again_keeps_its_results_in_the_store_until_that
     assert finished.run_id == run_id
     assert stored_files(finished) == before
     assert load("smoke", output_dir=finished.output_dir).runs["status"].tolist() == ["done"]
-    finished.finish(result)
+    finished.finish(result.steps, result.metrics)
     sync(finished)
     assert finished.run_id != run_id
     assert load("smoke", output_dir=finished.output_dir).runs["status"].tolist() == ["done"]

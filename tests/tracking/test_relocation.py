@@ -59,10 +59,7 @@ def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_n
 
 def test_files_of_a_run_directory_do_not_name_the_output_directory(smoke, smoke_folder):
     output_dir = smoke_folder / "outputs"
-    exceptions = {
-        "status.json": ("command",),
-        "result.json": ("run_dir",),
-    }  # `result` replaces the latter
+    exceptions = {"status.json": ("command",)}
     for name in ("config.yaml", "status.json", "result.json", "provenance.json"):
         content = yaml.safe_load((smoke.path / name).read_text())
         rest = {key: value for key, value in content.items() if key not in exceptions.get(name, ())}

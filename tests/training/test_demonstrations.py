@@ -17,6 +17,7 @@ from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, ModelError
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.training import demonstrations
 
 SMOKE = (
@@ -173,7 +174,7 @@ def test_a_run_that_is_stopped_while_another_records_stops_at_once(tmp_path, mon
 
 
 def test_the_number_of_recorded_episodes_is_told_after_each_batch(tmp_path, monkeypatch):
-    monkeypatch.setattr(demonstrations, "BATCH", 3)
+    monkeypatch.setattr(ScriptedPolicy, "max_batch_size", 3)
     counts = []
     demonstrated(walked(tmp_path, "buffer.demonstrations=8"), counts.append)
     assert sorted(set(counts)) == [0, 3, 6]
@@ -191,7 +192,7 @@ def test_a_damaged_file_is_named(tmp_path):
 
 def test_batches_of_episodes_are_recorded_one_after_the_other(tmp_path, monkeypatch):
     together = demonstrations_of(configured(tmp_path / "together"))
-    monkeypatch.setattr(demonstrations, "BATCH", 2)
+    monkeypatch.setattr(ScriptedPolicy, "max_batch_size", 2)
     apart = demonstrations_of(configured(tmp_path / "apart"))
     assert together.episodes.steps == apart.episodes.steps
     for name in ("obs", "action", "reward"):

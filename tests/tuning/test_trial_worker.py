@@ -11,7 +11,7 @@ from support.searches import QUICK
 
 from parking_exp.config.compose import compose
 from parking_exp.errors import OutputDirectoryError, ResultsError
-from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.search import Search, read_search
 from parking_exp.tuning.trial_worker import run_trials, success_auc
@@ -39,9 +39,7 @@ def training_that_ends_with(calls, **status):
 
 def succeed(path, rate=0.5):
     """Finish a run, with one success rate from beginning to end."""
-    RunDirectory(path).finish(
-        RunResult(str(path), None, 60, {"final/success_rate": rate}), wall_s=1
-    )
+    RunDirectory(path).finish(60, {"final/success_rate": rate}, wall_s=1)
     return "done"
 
 
@@ -103,9 +101,7 @@ def test_the_objective_is_the_normalised_area_under_the_success_curve(tmp_path):
     (directory.path / "metrics.jsonl").write_text(
         "".join(json.dumps(line) + "\n" for line in lines)
     )
-    directory.finish(
-        RunResult(str(directory.path), None, 5000, {"final/success_rate": 1.0}), wall_s=1
-    )
+    directory.finish(5000, {"final/success_rate": 1.0}, wall_s=1)
     assert success_auc(directory) == pytest.approx((0.25 + 0.73 + 0.955 + 0.975) / 4)
 
 
