@@ -49,7 +49,7 @@ class ComposedCell:
     """A cell as Hydra composed it; all its runs share this object, by which cells are told apart.
 
     Attributes:
-        config: its config, with the seed of its first run.
+        config: its config, whose seed each run replaces, unless the run has none.
         options: the option of each group.
         launcher: the name of its launcher.
         launcher_settings: the launcher's class and arguments.

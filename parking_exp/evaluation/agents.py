@@ -132,8 +132,8 @@ def find_agent(
 ) -> Agent:
     """Find a trained agent.
 
-    Arguments and errors are the same as of `load_model`. `key` is the config key that names the
-    run; messages begin with it.
+    For arguments and errors see `load_model`. `key` is the config key that names the run; messages
+    begin with it.
     """
     if is_pretrained(run):
         return _find_pretrained(run, output_dir, model, key)

@@ -5,7 +5,7 @@ from pathlib import Path
 from parking_exp.runs.atomic_files import read_object, sha256
 
 CHECKPOINTS = "checkpoints"  # folder of a run directory
-PREFIX = "step="
+STEP_PREFIX = "step="
 MODEL = "model.zip"
 BUFFER = "replay_buffer.npz"
 MANIFEST = "manifest.json"
@@ -13,17 +13,17 @@ MANIFEST = "manifest.json"
 
 def checkpoint_name(step: int) -> str:
     """Return the name of a checkpoint's folder; names sort by step."""
-    return f"{PREFIX}{step:010d}"
+    return f"{STEP_PREFIX}{step:010d}"
 
 
 def find_checkpoints(folder: Path) -> list[Path]:
     """Return the checkpoints of a run's folder `checkpoints`, the newest last."""
-    return sorted(folder.glob(f"{PREFIX}*"))
+    return sorted(folder.glob(f"{STEP_PREFIX}*"))
 
 
 def saved_step(folder: Path) -> int:
     """Return the env step of the newest checkpoint of a run's folder `checkpoints`; 0 if empty."""
-    steps = [path.name.removeprefix(PREFIX) for path in find_checkpoints(folder)]
+    steps = [path.name.removeprefix(STEP_PREFIX) for path in find_checkpoints(folder)]
     return max((int(step) for step in steps if step.isdecimal()), default=0)
 
 

@@ -145,8 +145,8 @@ class RunDirectory:
     def needs_evaluation(self, config: RunConfig) -> bool:
         """Return whether a finished run was evaluated with other settings than a config has."""
         entries = self.read_status()
-        is_evaluated_so = entries.evaluation in (None, config.final_settings)
-        return entries.status == "done" and not is_evaluated_so
+        has_these_settings = entries.evaluation in (None, config.final_settings)
+        return entries.status == "done" and not has_these_settings
 
     def evaluation_problem(self) -> str | None:
         """Return why a finished run can't be evaluated again, or None."""

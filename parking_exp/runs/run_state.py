@@ -87,7 +87,7 @@ def read_state(path: Path) -> RunState:
     else:
         fields["step"] = saved_step(path / CHECKPOINTS)
         if entries.status == "failed":
-            fields |= {"stage": "failed", "reason": entries.error or NO_REASON}
+            fields |= {"stage": "failed", "reason": entries.error}
     return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 from rich.table import Table
 
 from parking_exp.phrases import quoted_label
-from parking_exp.runs.run_state import STAGES, RunState, by_cell, count_stages
+from parking_exp.runs.run_state import NO_REASON, STAGES, RunState, by_cell, count_stages
 
 
 def cell_table(states: Sequence[RunState]) -> Table:
@@ -51,7 +51,7 @@ def state_lines(
             elif kind == "stopped" and state.stage == "pending" and state.step:
                 text = f"resumes at step {_steps(state)}"
             elif kind == "failed" and state.stage == "failed":
-                text = f"{state.reason}   {state.run_dir}"
+                text = f"{state.reason or NO_REASON}   {state.run_dir}"
             elif kind == "damaged" and state.damaged:
                 text = f"status.json can't be read; it counts as {state.stage}   {state.run_dir}"
             if text is not None:

@@ -3,6 +3,9 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+THRESHOLD = 0.9  # success
+HOLD = 3  # evaluations in a row
+
 
 def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
     """Return the area under a learning curve over the range of its steps: 1 means always at 1.
@@ -17,10 +20,6 @@ def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
     if len(at) == 1:
         return float(value[0])
     return float(np.trapezoid(value, at) / (at[-1] - at[0]))
-
-
-THRESHOLD = 0.9
-HOLD = 3  # evaluations in a row
 
 
 def steps_to(

@@ -53,8 +53,8 @@ class SeedRates:
 def mean_interval(rates: ArrayLike, n_episodes: int | None = None, alpha: float = 0.05) -> Interval:
     """Return the mean of seeds' rates with the interval of the mean of all possible seeds.
 
-    Rates, shape (seeds,), lie in 0 ... 1. One seed has no interval. Each is of
-    `n_episodes` episodes. The interval is at the level 1 - alpha.
+    Rates, shape (seeds,), lie in 0 ... 1, each over `n_episodes` episodes. One seed has no
+    interval. The interval is at the level 1 - alpha.
 
     Raises:
         ValueError: a rate is NaN or lies outside 0 ... 1.

@@ -25,7 +25,7 @@ class LocalLauncher:
         self.n_jobs = valid_n_jobs(n_jobs) or len(available_cores())
 
     def train(self, paths: Sequence[Path]) -> None:
-        """Train runs; `run_workers` says what it raises."""
+        """Train runs; for errors see `run_workers`."""
         waiting = iter(paths)
 
         def work(train: Train) -> None:

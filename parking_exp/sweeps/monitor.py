@@ -8,7 +8,7 @@ from typing import Self
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 
-from parking_exp.runs.run_state import RunState, read_state
+from parking_exp.runs.run_state import NO_REASON, RunState, read_state
 from parking_exp.runs.state_tables import format_duration, run_name, state_lines
 from parking_exp.terminal import make_console
 
@@ -76,7 +76,7 @@ class Monitor:
                     result = f"success {state.success_rate:.0%}, {result}"
                 self.say(f"done     {run}: {result}  ({self._progress()})")
             case "failed":
-                self.say(f"failed   {run}: {state.reason}  ({self._progress()})")
+                self.say(f"failed   {run}: {state.reason or NO_REASON}  ({self._progress()})")
             case "running":
                 place = f"  on {state.host}" if state.host else ""
                 self.say(f"started  {run}{place}")

@@ -76,7 +76,7 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class _CheckedCell:
-    """A cell of a sweep; its config has one of its seeds."""
+    """A cell of a sweep, checked; each run replaces the seed of its config."""
 
     config: RunConfig
     folder: Path

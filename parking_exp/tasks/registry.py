@@ -1,5 +1,6 @@
 """Registry of tasks: the `env` group and metrics of all, and the task and report of each."""
 
+import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,10 +51,8 @@ FAILURES = tuple(name for name in OUTCOMES if name not in ("success", "timeout")
 """Outcomes of episodes that ended badly; each task has one of them."""
 KEYS = {metric.key for metric in METRICS}
 ADDED_KEY = re.compile(r"\w+_(rate|mean)")
-_training_keys = {"name", "metrics"}
-for _env_config in ENV_CONFIGS.values():
-    _training_keys.update(_env_config.training_keys)
-TRAINING_ONLY = frozenset(f"env.{key}" for key in _training_keys)
+TRAINING_KEYS = itertools.chain.from_iterable(env.training_keys for env in ENV_CONFIGS.values())
+TRAINING_ONLY = frozenset(f"env.{key}" for key in ("name", "metrics", *TRAINING_KEYS))
 """Config keys of tasks that do not change the episodes of an evaluation."""
 DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not metric.is_outcome}
 """Types of the columns of an episodes table, but for seed and outcome."""

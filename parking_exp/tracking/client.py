@@ -1,9 +1,9 @@
 """Connect to an MLflow store without hanging, with a lock that the writers of a sqlite store share.
 
-A sqlite store takes one writer at a time, and MLflow has a second one
-wait for 20 s before it fails with "database is locked", so our writers queue for a lock file beside
-the database. Its journal stays sqlite's own rollback journal: a write-ahead log needs memory shared
-between processes, which network file systems lack. Readers (`mlflow ui`) need no lock.
+A sqlite store takes one writer at a time, and MLflow has a second one wait for 20 s before it fails
+with "database is locked", so our writers queue for a lock file beside the database. Its journal
+stays sqlite's own rollback journal: a write-ahead log needs memory shared between processes, which
+network file systems lack. Readers (`mlflow ui`) need no lock.
 """
 
 import logging

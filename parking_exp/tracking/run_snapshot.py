@@ -137,8 +137,8 @@ def tags_for_store(directory: RunDirectory, config: RunConfig, store: Store) -> 
     else:
         tags["run_dir"] = relative_path(directory.path, database_path.parent)
     tags["error"] = ""
-    if entries.status == "failed" and entries.error is not None:
-        tags["error"] = one_line(entries.error)[:MAX_ERROR_LENGTH]
+    if entries.status == "failed":
+        tags["error"] = one_line(entries.error or "")[:MAX_ERROR_LENGTH]
     return tags
 
 

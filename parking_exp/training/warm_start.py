@@ -105,9 +105,8 @@ def _refuse_differences(config: RunConfig, agent: Agent, keys: tuple[str, ...]) 
     source = with_defaults(flatten_config(agent.config.plain()))
     for key in differing_keys([target, source]):
         is_of_optimizer = key.startswith("algorithm.policy_kwargs.optimizer")
-        is_empty = (
-            key == "algorithm.policy_kwargs"
-        )  # where one config has no arguments of the policy
+        # Where one config has no arguments of the policy.
+        is_empty = key == "algorithm.policy_kwargs"
         if key.startswith(keys) and not (is_of_optimizer or is_empty):
             raise ConfigError(
                 f"init={config.init} does not fit: its {key} is "

@@ -113,7 +113,7 @@ class Search:
         raise_problems(problems)
 
     def _options_for(self, key: str) -> list[dict[str, Any]]:
-        """Return the options that a key is checked with: of its group in the space, or none."""
+        """Return which options of its group, if the space has that, a key is checked with."""
         group = key.partition(".")[0]
         dimension = self.request.search.space.get(group)
         if group == key or dimension is None:

@@ -14,6 +14,7 @@ from parking_exp.config.constructor_arguments import SET_BY_RUN
 from parking_exp.config.validate import validate, validate_all
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError
+from parking_exp.tasks.parking.parking_task import ParkingTask
 
 DELETED = object()
 DEFAULT_OPTIONS = {}
@@ -274,3 +275,23 @@ def test_our_own_keys_of_all_cells_are_checked_before_any_class_is_imported(tmp_
         validate_all(
             compose_configs("config", ["algorithm._target_=never_imported.X", "n_envs=256,0"])
         )
+
+
+def test_the_runs_of_an_env_share_a_task_that_is_closed_after_the_last(monkeypatch):
+    events = []
+
+    def record(name):
+        method = getattr(ParkingTask, name)
+
+        def recorded(task):
+            events.append(name)
+            return method(task)
+
+        monkeypatch.setattr(ParkingTask, name, recorded)
+
+    for name in ("problems", "prediction_env", "close"):
+        record(name)
+    noise = ("algorithm.action_noise.mean=[0,0]", "algorithm.action_noise.sigma=[0.1,0.1]")
+    overrides = ["algorithm=td3", "env=parking,parking_stop", "algorithm.gamma=0.9,0.95", *noise]
+    validate_all(compose_configs("config", overrides))
+    assert events == ["problems", "prediction_env", "prediction_env", "close"] * 2

@@ -21,8 +21,8 @@ REAR_AXLE_M = CAR_LENGTH_M / 2  # behind the middle of highway-env's car
 class DrivenBatch(EvaluationBatch):
     """Episodes of parking whose `info` also tells how the car was driven.
 
-    A path is where the middle of the rear axle goes, which moves in the direction of the heading.
-    Paths are straight between policy steps.
+    Paths are driven by the middle of the rear axle, which moves in the direction of the heading.
+    They are straight between policy steps.
 
     Args:
         batch: the episodes; their first six observations are the car's pose.
