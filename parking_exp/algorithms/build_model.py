@@ -4,8 +4,7 @@ Callbacks, trackers and launchers of a config are instantiated where they are us
 `training/training_session.py`, `training/trackers.py` and `sweeps/launchers.py`.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -168,18 +167,3 @@ def _unsaved_weights(model: OffPolicyAlgorithm) -> list[str]:
     return [
         name for name, value in attributes if isinstance(value, kinds) and id(value) not in saved
     ]
-
-
-@contextmanager
-def torch_settings(config: RunConfig) -> Iterator[None]:
-    """Give torch the threads and the float32 matmul precision of a run within a block."""
-    threads = torch.get_num_threads()
-    precision = torch.get_float32_matmul_precision()
-    if config.torch_threads is not None:
-        torch.set_num_threads(config.torch_threads)
-    torch.set_float32_matmul_precision(config.precision)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-        torch.set_float32_matmul_precision(precision)

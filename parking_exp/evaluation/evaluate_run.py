@@ -28,7 +28,7 @@ from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.file_hashes import write_summary
 from parking_exp.runs.metric_logs import EPISODES_FILE
-from parking_exp.runs.run_files import EVALUATIONS, SUMMARY_FILE
+from parking_exp.runs.run_files import EVALUATIONS, SUMMARY_FILE, VIDEO_FILE
 from parking_exp.tasks.registry import EnvConfig, make_task
 from parking_exp.tasks.task import Policy, Task
 from parking_exp.terminal import say
@@ -179,7 +179,7 @@ def _env_labels(evaluations: Sequence[Evaluation]) -> list[str]:
 
 def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     """Evaluate an agent, print and write the results, and return the rates and means."""
-    from parking_exp.algorithms.build_model import torch_settings
+    from parking_exp.algorithms.torch_settings import torch_settings
     from parking_exp.evaluation.evaluate_policy import (
         describe_episodes,
         evaluate_policy,
@@ -255,7 +255,7 @@ def _write_video(policy: Policy, task: Task, request: EvaluationRequest, folder:
     from parking_exp.evaluation.video import record_video
 
     seeds = request.seeds[: request.video]
-    reason = record_video(policy, task, seeds, folder / "video.mp4", request.gif)
+    reason = record_video(policy, task, seeds, folder / VIDEO_FILE, request.gif)
     if reason is not None:
         say(reason)
     for path in sorted(folder.glob("video.*")):

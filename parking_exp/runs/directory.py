@@ -31,10 +31,12 @@ from parking_exp.runs.file_hashes import HASHES, hash_finished_files
 from parking_exp.runs.locks import is_held
 from parking_exp.runs.run_files import (
     HEARTBEAT_FILE,
+    MODELS,
     OUTPUT_DIR_FROM_RUN,
     RESULT_FILE,
     STATUS_FILE,
     TRACEBACK_FILE,
+    VIDEO_FILE,
     Status,
     StatusEntries,
     read_config,
@@ -73,7 +75,7 @@ class RunDirectory:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.checkpoints = path / CHECKPOINTS
-        self.models = path / "models"
+        self.models = path / MODELS
 
     @property
     def output_dir(self) -> Path:
@@ -167,7 +169,7 @@ class RunDirectory:
         # Without a start time the store takes it for a new run. This comes before the status: a run
         # whose reopening was killed is still finished, and is reopened again.
         (self.path / PROVENANCE_FILE).unlink(missing_ok=True)
-        (self.path / "video.mp4").unlink(missing_ok=True)
+        (self.path / VIDEO_FILE).unlink(missing_ok=True)
         self.update_status(status="pending")
 
     @property

@@ -29,16 +29,22 @@ TRACEBACK_FILE = "traceback.txt"
 EVALUATIONS = "evaluations"
 SUMMARY_FILE = "summary.json"  # of an evaluation
 PATHS_FILE = "paths.csv.gz"
+CURVES_FILE = "curves.png"
+VIDEO_FILE = "video.mp4"
+PROGRESS_FILE = "progress.csv"
+MODELS = "models"
+BEST_MODEL = "best.zip"
+FINAL_MODEL = "final.zip"
 WRITTEN_AT_THE_END = (
     EPISODES_FILE,
     PATHS_FILE,
-    "curves.png",
-    "video.mp4",
+    CURVES_FILE,
+    VIDEO_FILE,
     MONITOR_FILE,
-    "progress.csv",
+    PROGRESS_FILE,
     TRACEBACK_FILE,
-    "models/best.zip",
-    "models/final.zip",
+    f"{MODELS}/{BEST_MODEL}",
+    f"{MODELS}/{FINAL_MODEL}",
 )
 """Files that are whole once a run has ended."""
 OUTPUT_DIR_FROM_RUN = "../../.."

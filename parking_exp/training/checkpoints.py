@@ -36,10 +36,10 @@ from parking_exp.runs.checkpoint_files import (
     find_checkpoints,
 )
 from parking_exp.runs.metric_logs import copy_logs
+from parking_exp.runs.run_files import BEST_MODEL
 from parking_exp.terminal import say
 from parking_exp.training import rollout_state
 
-BEST = "best.zip"
 STATE = "state.pt"
 EARLIEST_ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 LATEST_ZIP_TIME = (2107, 12, 31, 23, 59, 58)
@@ -99,7 +99,7 @@ def save(
         with (folder / BUFFER).open("wb") as file:
             np.savez(file, allow_pickle=False, **_buffer_state(model.replay_buffer))
         if best.exists():
-            shutil.copyfile(best, folder / BEST)
+            shutil.copyfile(best, folder / BEST_MODEL)
         copy_logs(checkpoints_dir.parent, folder)
         attributes = {name: getattr(model, name) for name in ATTRIBUTES}
         recent = {name: getattr(model, name) or () for name in RECENT}
@@ -149,8 +149,8 @@ def restore(
     """
     load_weights(folder / MODEL, model)
     best.unlink(missing_ok=True)
-    if (folder / BEST).exists():
-        shutil.copyfile(folder / BEST, best)
+    if (folder / BEST_MODEL).exists():
+        shutil.copyfile(folder / BEST_MODEL, best)
 
     state = load_state(folder)
     for name in ATTRIBUTES:

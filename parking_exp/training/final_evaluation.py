@@ -8,7 +8,7 @@ from parking_exp.errors import CrossCheckError
 from parking_exp.evaluation.evaluate_policy import describe_rates, find_differences
 from parking_exp.evaluation.path_recorder import PathRecorder
 from parking_exp.evaluation.video import record_video
-from parking_exp.runs.run_files import PATHS_FILE
+from parking_exp.runs.run_files import CURVES_FILE, FINAL_MODEL, PATHS_FILE, VIDEO_FILE
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.plot_curves import plot_learning_curves
 from parking_exp.training.run_session import RunSession
@@ -49,14 +49,14 @@ def evaluate_final(session: RunSession) -> pd.DataFrame:
     session.dump_metrics()
 
     directory = session.directory
-    session.save_final(directory.models / "final.zip")
+    session.save_final(directory.models / FINAL_MODEL)
     path_recorder.write(directory.path / PATHS_FILE)
     title = f"{config.experiment_name}: {directory.path.parent.name}"
-    plot_learning_curves(session.metrics_log.frame(), metrics, title, directory.path / "curves.png")
+    plot_learning_curves(session.metrics_log.frame(), metrics, title, directory.path / CURVES_FILE)
     if settings.video_episodes:
         session.bar.show_activity("video")
         filmed = settings.seeds(settings.video_episodes)
-        reason = record_video(session.policy, session.task, filmed, directory.path / "video.mp4")
+        reason = record_video(session.policy, session.task, filmed, directory.path / VIDEO_FILE)
         if reason is not None:
             session.bar.say(reason)
     if problem is not None:

@@ -19,6 +19,7 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 
 from parking_exp.config.schema import TrackingConfig
 from parking_exp.runs.metric_logs import MetricsLog, read_metrics
+from parking_exp.runs.run_files import PROGRESS_FILE
 
 TENSORBOARD_DIR = "tensorboard"
 # TensorBoard sorts its groups by name and opens the first: evaluations, not what else begins with
@@ -46,7 +47,7 @@ def make_logger(
         label: the label of the run's cell; TensorBoard names a run by its folder.
         on_row: called with the step and the metrics of each new row.
     """
-    table = CSVOutputFormat(str(run_dir / "progress.csv")) if tracking.csv else None
+    table = CSVOutputFormat(str(run_dir / PROGRESS_FILE)) if tracking.csv else None
     board = None
     if tracking.tensorboard:
         shutil.rmtree(run_dir / TENSORBOARD_DIR, ignore_errors=True)

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 
 import torch
 
-from parking_exp.algorithms.build_model import torch_settings
+from parking_exp.algorithms.torch_settings import torch_settings
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import (
     ConfigError,

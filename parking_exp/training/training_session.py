@@ -21,6 +21,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.evaluation.evaluate_policy import describe_rates, rank_evaluation
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import MONITOR_FILE
+from parking_exp.runs.run_files import BEST_MODEL
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints, demonstrations, rollout_state, warm_start
@@ -60,7 +61,7 @@ class TrainingSession(RunSession):
         progress = SavedProgress(**saved)
         super().__init__(config, directory, trackers, progress, stop, resources)
         self._on_saved = on_saved
-        self._best = directory.models / checkpoints.BEST
+        self._best = directory.models / BEST_MODEL
 
         seeds = derive_seeds(config.seed, config.env.training_seeds)
         self.env = make_training_envs(

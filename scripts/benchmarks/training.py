@@ -16,7 +16,8 @@ from stable_baselines3.common.noise import NormalActionNoise
 from benchmarks.timing import interleave, rounded, seconds, spread
 from benchmarks.updates import sb3_classes
 from parking_exp import compose
-from parking_exp.algorithms.build_model import build_model, torch_settings
+from parking_exp.algorithms.build_model import build_model
+from parking_exp.algorithms.torch_settings import torch_settings
 from parking_exp.config.schema import RunConfig
 from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.parking.highway import make_parking_env

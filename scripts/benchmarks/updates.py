@@ -7,7 +7,8 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.timing import interleave
 from parking_exp import compose
-from parking_exp.algorithms.build_model import build_model, torch_settings
+from parking_exp.algorithms.build_model import build_model
+from parking_exp.algorithms.torch_settings import torch_settings
 from parking_exp.config.argument_limits import RELABEL_OPTIONS
 from parking_exp.config.schema import RunConfig
 from parking_exp.tasks.registry import make_task

@@ -7,7 +7,8 @@ from support.marks import slow_but
 from support.models import make_model
 from support.runs import ROOT, options, run_code
 
-from parking_exp.algorithms.build_model import build_model, torch_settings
+from parking_exp.algorithms.build_model import build_model
+from parking_exp.algorithms.torch_settings import torch_settings
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
