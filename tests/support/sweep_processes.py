@@ -62,11 +62,11 @@ def saved(output_dir):
     return {path.parents[1] for path in output_dir.glob("*/*/*/checkpoints/step=*")}
 
 
-def wait_until(condition, timeout=90):
+def wait_until(condition, timeout=90, poll_s=0.05):
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline
-        time.sleep(0.05)
+        time.sleep(poll_s)
 
 
 def workers(output_dir):

@@ -285,7 +285,7 @@ def test_a_worker_that_slurm_signals_twice_still_saves_its_checkpoint(tmp_path):
     (worker,) = workers(tmp_path)
     os.kill(worker, signal.SIGTERM)
     log = next(tmp_path.glob("*/*/*/log.txt"))
-    wait_until(lambda: "stopping after a checkpoint" in log.read_text())
+    wait_until(lambda: "stopping after a checkpoint" in log.read_text(), poll_s=0.001)
     os.kill(worker, signal.SIGTERM)
     process.communicate(timeout=30)
     assert stages(tmp_path) == ["interrupted"]
