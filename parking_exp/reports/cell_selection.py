@@ -179,7 +179,7 @@ def _split_condition(text: str, words: Words) -> list[str]:
     """Return `KEY=VALUE` of each value of a condition; commas may be part of a value."""
     key, _, values = text.partition("=")
     single = f"{key}={_normalise(without_quotes(values))}"
-    if any(single in of_cell for of_cell in words.values()):
+    if any(single in texts for texts in words.values()):
         return [single]
     return [f"{key}={_normalise(value)}" for value in _split_values(values)]
 
@@ -188,9 +188,9 @@ def _find_matching(words: Words, pattern: str, key: str) -> list[CellRuns]:
     """Return the cells that have a label, a name or a word, else those that a pattern fits."""
     fitting = [cell for cell in words if pattern in (cell.label, cell.name)]
     if not fitting:
-        fitting = [cell for cell, of_cell in words.items() if pattern in of_cell]
+        fitting = [cell for cell, texts in words.items() if pattern in texts]
     if not fitting:
-        fitting = [cell for cell, of_cell in words.items() if fnmatch.filter(of_cell, pattern)]
+        fitting = [cell for cell, texts in words.items() if fnmatch.filter(texts, pattern)]
     if fitting:
         return fitting
     if "=" in pattern:

@@ -51,7 +51,9 @@ FAILURES = tuple(name for name in OUTCOMES if name not in ("success", "timeout")
 """Outcomes of episodes that ended badly; each task has one of them."""
 KEYS = {metric.key for metric in METRICS}
 ADDED_KEY = re.compile(r"\w+_(rate|mean)")
-TRAINING_KEYS = itertools.chain.from_iterable(env.training_keys for env in ENV_CONFIGS.values())
+TRAINING_KEYS = list(
+    itertools.chain.from_iterable(env.training_keys for env in ENV_CONFIGS.values())
+)
 TRAINING_ONLY = frozenset(f"env.{key}" for key in ("name", "metrics", *TRAINING_KEYS))
 """Config keys of tasks that do not change the episodes of an evaluation."""
 DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not metric.is_outcome}

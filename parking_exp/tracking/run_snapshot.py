@@ -1,4 +1,4 @@
-"""What the MLflow store should have of a run: status, files, tags and digest of its directory."""
+"""Snapshot of a run directory for the MLflow store: status, files, tags and digest."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

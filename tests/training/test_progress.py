@@ -1,4 +1,4 @@
-"""What is shown of a run, and its heartbeat."""
+"""Tests of the progress that a run shows, and of its heartbeat."""
 
 from parking_exp.training import progress
 from parking_exp.training.progress import TrainingProgress
