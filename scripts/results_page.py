@@ -192,17 +192,11 @@ class Experiment:
                 return pair.reverse()
         raise ValueError(f"{first} and {second} are not compared")
 
-    def comparisons(self, *verdicts: str) -> str:
-        """Return a Markdown table of the pairs that the report compares, corrected for all.
-
-        Args:
-            verdicts: those of the rows, e.g. `a` and `b`; empty: all.
-        """
+    def comparisons(self) -> str:
+        """Return a Markdown table of the pairs that the report compares, corrected for all."""
         labels = {cell.id: cell.label for cell in self.report.cells}
         rows = []
         for pair in self.report.pairs:
-            if verdicts and pair.verdict not in verdicts:
-                continue
             mark = formats.VERDICTS[pair.verdict].mark
             difference = formats.points_interval(pair.difference)
             p = formats.p_value(pair.difference.p_corrected)

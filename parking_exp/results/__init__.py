@@ -59,8 +59,8 @@
                             float64   of parking; NaN where an episode has none
     gear_changes            int64     of parking
 
-`paths` has one row per step of the first 50 final episodes, of one run of each cell: the lowest
-seed that is done. Runs of some tasks have none, such as runs on Gymnasium's environments.
+`paths` has one row per step of the first 50 final episodes, of one run of each cell: the
+smallest seed that is done. Runs of some tasks have none, such as runs on Gymnasium's environments.
 
     run_id                  str
     scene, step             int64     seed of the episode; policy step, 0 at the start
