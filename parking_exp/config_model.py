@@ -1,6 +1,7 @@
 """The base of all config schemas, and the types of their keys."""
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -32,6 +33,11 @@ GoalStrategy = Literal["future", "final", "episode", "random"]
 RelabelCollision = Literal["keep", "sb3", "exclude"]
 RelabelTerminated = Literal["sb3", "goal", "goal_and_crash", "env"]
 GoalVelocity = Literal["achieved", "zero"]
+
+
+def equals(default: Any) -> Callable[[Any], bool]:
+    """Return a check for `exclude_if`, by which stored configs leave out a key with its default."""
+    return lambda value: bool(value == default)
 
 
 class ConfigModel(BaseModel):

@@ -1,5 +1,7 @@
 """Parking lots as environments of Gymnasium. Importing this module registers them.
 
+For example:
+
 import gymnasium as gym
 import parking_exp.envs
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-WIDTH_IN = 6.8  # of every figure: both columns of a paper
+WIDTH_IN = 6.8  # every figure spans both columns of a paper
 PAGE_IN = 8.4  # height of a figure that leaves room for its caption on a page
 SMALL_PT = 7.0
 INK, GRID = "#1c1e21", "#d5d8dc"

@@ -1,4 +1,4 @@
-"""Pauses of Python's garbage collection, where many objects are made that live on."""
+"""Pause Python's garbage collection while many long-lived objects are made."""
 
 import gc
 from collections.abc import Iterator

@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Iterable, Sequence
 
-FEW_NAMES = 4  # of a list of names, which are written out
+FEW_NAMES = 4  # a list of so many names is written out
 
 
 def plural(number: int, noun: str) -> str:
@@ -17,7 +17,7 @@ def quoted_label(label: str) -> str:
 
 
 def list_names(names: Sequence[str]) -> str:
-    """List labels and the like, the first few of many; one that has commas itself is in quotes."""
+    """List the first few names, and how many more there are; a name with commas is in quotes."""
     parts = [quoted_label(name) for name in names[:FEW_NAMES]]
     if len(names) > FEW_NAMES:
         parts.append(f"{len(names) - FEW_NAMES} more")

@@ -17,8 +17,8 @@ Row = Mapping[str, Any]
 """Heading in CSV -> value."""
 
 
-def words(value: Any) -> str:
-    """Write a name or a few words."""
+def plain_text(value: Any) -> str:
+    """Return a value as text, empty for None."""
     return "" if value is None else str(value)
 
 
@@ -27,41 +27,41 @@ class Column(NamedTuple):
 
     Attributes:
         key: the key of its value in a row.
-        form: writes the value, empty where nothing is known.
+        to_text: writes the value; returns "" where nothing is known.
         of_row: computes the value from the row, if it needs several entries. The page sorts by
             `key` all the same.
         numeric: whether it shows numbers.
-        id_key: the key, in a row, of the id of the cell whose label it shows.
-        given: whether it is a condition, not a result: the caption has it where it is the same in
-            every row.
+        id_key: if the column shows the label of a cell, the row's key of the cell's id.
+        is_condition: whether it is a condition of the experiment, not a result. If it is the same
+            in every row, the caption has it.
         note: what the caption says of it, without a full stop.
-        paper: whether LaTeX has it, too.
+        in_latex: whether the LaTeX table has it, too.
     """
 
     title: str
     key: str
-    form: Callable[[Any], str] = words
+    to_text: Callable[[Any], str] = plain_text
     of_row: Callable[[Row], Any] | None = None
     numeric: bool = True
     id_key: str | None = None
-    given: bool = False
+    is_condition: bool = False
     note: str = ""
-    paper: bool = True
+    in_latex: bool = True
 
     def write(self, row: Row) -> str:
         """Return what it shows of a row."""
         value = row.get(self.key) if self.of_row is None else self.of_row(row)
-        return self.form(value)
+        return self.to_text(value)
 
 
 @dataclass(frozen=True)
 class Table:
     """A table of a report."""
 
-    name: str  # of its files; unique
+    name: str  # names its files; unique
     rows: Sequence[Row]  # all values
-    # What people read; see `move_constants_to_caption` in `reports.tables.table`. Without any, the
-    # table is for CSV alone.
+    # What people read; see `move_constants_to_caption` in `reports.tables.table`. A table without
+    # columns is written as CSV only.
     columns: Sequence[Column] = ()
     caption: str = ""
     latex: bool = False  # whether it is written as LaTeX, too

@@ -21,7 +21,7 @@ def available_cores() -> list[int]:
 
 
 def divide_cores(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
-    """Divide cores evenly between workers; if there are fewer cores, several share each."""
+    """Divide cores evenly between workers; if workers outnumber the cores, they share them."""
     if n_workers >= len(all_cores):
         return [[all_cores[worker % len(all_cores)]] for worker in range(n_workers)]
     bounds = [len(all_cores) * worker // n_workers for worker in range(n_workers + 1)]

@@ -15,7 +15,7 @@ WIDE = 1000  # columns of a file or pipe, where lines are not wrapped
 
 
 def printable(line: str) -> str:
-    r"""Return a line with what can't be printed or encoded escaped, e.g. `\x1b`, `\n`, `\u202e`."""
+    r"""Escape what can't be printed or encoded in a line, e.g. as `\x1b`, `\n` or `\u202e`."""
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
@@ -61,7 +61,7 @@ class _UnfailingStream:
 
 @contextmanager
 def unfailing_output() -> Iterator[None]:
-    """Let no write to the standard streams fail in a block: a run is worth more than its output."""
+    """Ignore failed writes to the standard streams in a block: they must not end a run."""
     streams = sys.stdout, sys.stderr
     make_output_unfailing()
     try:

@@ -134,7 +134,8 @@ def open_page(browser):
     """Open a file in a browser; at the end nothing may have gone wrong or asked for a second
     file.
     """
-    seen, opened = [], []
+    seen = []
+    opened = []
 
     def opening(path, width=1280, **options):
         context = browser.new_context(viewport={"width": width, "height": 900}, **options)

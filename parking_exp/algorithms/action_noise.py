@@ -13,10 +13,10 @@ from stable_baselines3.common.vec_env import VecEnv
 class EpsilonRandomActionNoise(NormalActionNoise):
     """Sample normal noise, or with probability `epsilon` uniform noise in [-2, 2].
 
-    As HER's authors explore (Plappert et al. 2018, arXiv:1802.09464, appendix): normal noise alone
-    seldom leads a robot's gripper to a box. Theirs is a random action; noise does not know the
-    action, so this one is uniform in [-2, 2], and Stable-Baselines3 clips the sum to [-1, 1]. Half
-    of the sums are uniform in [-1, 1], others at a bound.
+    HER's authors add random actions (Plappert et al. 2018, arXiv:1802.09464, appendix), because
+    normal noise alone seldom leads a robot's gripper to a box. Noise can't replace an action that
+    it does not know. So it is uniform in [-2, 2], and Stable-Baselines3 clips the sum to [-1, 1].
+    Half of the sums are then uniform in [-1, 1]. The others lie at a bound.
 
     Args:
         mean: the mean of the normal noise, shape (actions,).
@@ -54,7 +54,7 @@ class VectorizedNormalNoise(VectorizedActionNoise):
 def make_action_noise(node: Mapping[str, Any], env: VecEnv) -> ActionNoise:
     """Make action noise from a node with a `_target_`.
 
-    Its lists become arrays, and so do single numbers, which are for all dimensions of the action.
+    `mean` and `sigma` become arrays. A single number applies to all dimensions of the action.
     """
     arrays = {}
     for name in {"mean", "sigma"} & node.keys():

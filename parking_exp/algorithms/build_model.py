@@ -142,10 +142,11 @@ class GreedyPolicy(Policy):
 
 
 def _skip_compiler_import() -> None:
-    """Keep torch from importing its compiler: 1.1 to 4 s of CPU time of every run.
+    """Keep torch from importing its compiler, which takes 1.1 to 4 s of CPU time in every run.
 
-    When the first optimizer is made, torch imports it to exclude some methods of optimizers from
-    compilation, unless they have this mark. See `torch._compile._disable_dynamo`.
+    Torch excludes some methods of optimizers from compilation, and imports the compiler for that
+    with the first optimizer. It skips methods that have an attribute, which is set here. See
+    `torch._compile._disable_dynamo`.
     """
     for name in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
         plain = getattr(getattr(torch.optim.Optimizer, name), "__wrapped__", None)

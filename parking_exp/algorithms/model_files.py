@@ -16,7 +16,7 @@ from stable_baselines3.common.save_util import load_from_zip_file, recursive_get
 from parking_exp.algorithms.policy_files import ACTOR_PREFIX, load_layers
 from parking_exp.errors import ModelError, one_line
 
-LOG_ENT_COEF = "log_ent_coef"  # of SAC, TQC and CrossQ; None if it is not tuned
+LOG_ENT_COEF = "log_ent_coef"  # in SAC, TQC and CrossQ; None if it is not tuned
 
 
 def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -57,7 +57,7 @@ def load_networks(path: Path, model: OffPolicyAlgorithm) -> None:
 
 
 def load_actor(path: Path, model: OffPolicyAlgorithm) -> None:
-    """Load the actor of a model file, of which nothing else has to fit.
+    """Load only the actor of a model file; nothing else in the file has to fit.
 
     Raises:
         ModelError: the file is damaged, or has another actor.
@@ -92,7 +92,7 @@ def read_weights(path: Path, device: torch.device | str) -> tuple[dict[str, Any]
     """Return all state dicts of a model file, and its single tensors, both by name.
 
     Raises:
-        ModelError: it is no file, is damaged, or holds something other than weights.
+        ModelError: it is not a file, is damaged, or holds something other than weights.
     """
     if not path.is_file():
         raise ModelError(f"{path} is not a file")

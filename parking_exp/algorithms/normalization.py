@@ -1,9 +1,9 @@
 """Scale observations and goals by their means and standard deviations, inside the policy.
 
-One set of statistics serves achieved and desired goals, as in OpenAI Baselines, the HER paper's
-implementation: virtual goals pass through the same scaling as real ones. Stable-Baselines3's
-`VecNormalize` has one for each entry, and scales a goal that HER moves from one to the other in two
-ways.
+Achieved and desired goals share one set of statistics, as in OpenAI Baselines, the HER paper's
+implementation. So virtual goals are scaled like real goals. Stable-Baselines3's `VecNormalize` has
+separate statistics for both. It scales an achieved goal differently once HER makes it a desired
+goal.
 """
 
 from collections.abc import Mapping

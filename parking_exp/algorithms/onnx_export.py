@@ -1,7 +1,7 @@
 """Export a policy as ONNX.
 
-The file takes the env's Dict observation and gives the action that `predict(deterministic=True)`
-gives: features, mirroring, and the scale of the actions are inside.
+The file maps the env's Dict observation to the action of `predict(deterministic=True)`. It includes
+features, mirroring and the scaling of actions.
 """
 
 import os
@@ -17,9 +17,9 @@ from stable_baselines3.common.policies import BasePolicy
 
 from parking_exp.errors import ModelError
 
-# Between a file's actions and the model's; torch's own differ by 6e-6 between two batch sizes.
+# How far a file's actions may be from the model's, which vary by 6e-6 with the batch size.
 TOLERANCE = 1e-4
-OPSET = 17  # of ONNX: what onnxruntime reads since 1.13
+OPSET = 17  # onnxruntime has read it since 1.13
 ACTION = "action"
 
 

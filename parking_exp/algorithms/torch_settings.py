@@ -1,4 +1,4 @@
-"""The threads and the precision of torch that a run asks for."""
+"""The device, the threads and the precision of torch that a run asks for."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,6 +6,15 @@ from contextlib import contextmanager
 import torch
 
 from parking_exp.config.schema import RunConfig
+from parking_exp.errors import ConfigError
+
+
+def check_device(device: str) -> None:
+    """Raise ConfigError for an NVIDIA GPU that torch does not find."""
+    if device.startswith("cuda"):
+        number = int(device[5:] or 0)
+        if number >= torch.cuda.device_count():
+            raise ConfigError(f"device={device}: torch finds no such device; use auto")
 
 
 @contextmanager

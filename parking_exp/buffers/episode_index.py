@@ -56,7 +56,8 @@ class EpisodeIndex:
     def overwrite(self, record_ids: np.ndarray) -> None:
         """Make room for the next row if the ring is full.
 
-        An episode that loses a transition is sampled no more. One under way only loses its start.
+        A finished episode that loses a transition is no longer sampled. An unfinished episode only
+        loses its start.
 
         Args:
             record_ids: records of the transitions that are overwritten, shape (n_envs,).

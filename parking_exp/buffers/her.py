@@ -28,29 +28,29 @@ DEMONSTRATIONS_PREFIX = "demonstrations/"
 class HerBuffer(DictReplayBuffer):
     """Replay buffer with virtual goals.
 
-    The cost of sampling depends neither on the capacity nor on how full the buffer is. With
-    `relabel_collision` and `relabel_terminated` at `sb3` and `goal_velocity` at `achieved`, which
-    are the defaults, batches are as `HerReplayBuffer` of Stable-Baselines3 makes them. The buffer
-    seeds a generator of its own from NumPy's global one, once.
+    The cost of sampling depends neither on the capacity nor on how full the buffer is. By default
+    (`relabel_collision` and `relabel_terminated` are `sb3`, `goal_velocity` is `achieved`), batches
+    are as `HerReplayBuffer` of Stable-Baselines3 makes them. The buffer has its own generator. It
+    is seeded once, from NumPy's global generator.
 
     `Storage` says how much memory a transition takes.
 
     Args (others: see `DictReplayBuffer`):
         n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every
-            batch. Those that the options below allow no virtual goal keep their own, and count as
-            real.
+            batch. If the options below forbid relabelling, a transition keeps its goal and counts
+            as real.
         goal_selection_strategy: where virtual goals come from: `future` (the rest of the episode),
             `final` (its end), `episode` (anywhere in it), `random` (all stored transitions), or
             None: no virtual transitions, and transitions of episodes under way are sampled too.
-        relabel_collision: the penalty of a failure (parking: a collision) with a virtual goal.
-            `keep`: it is added. `sb3`: it is not, since `compute_reward` knows none. `exclude`:
-            transitions at which the episode fails are neither relabelled nor used as goals.
+        relabel_collision: whether relabelled transitions keep the penalty for a failure (parking:
+            a collision). `keep`: they do. `sb3`: they do not, since `compute_reward` has none.
+            `exclude`: failing transitions are neither relabelled nor used as goals.
         relabel_terminated: when a virtual transition ends its episode. `sb3`: when the real one
             did. `goal`: when the virtual goal is reached. `goal_and_crash`: also at a failure
-            (Stable-Baselines3 issue 627). `env`: as in the env; if that ends episodes at their
-            goal, as `goal_and_crash`, and transitions that start at the virtual goal are not
-            relabelled. Otherwise the agent learns that standing still counts as success.
-        goal_velocity: the velocity of virtual goals: `achieved`, or `zero` as of real goals.
+            (Stable-Baselines3 issue 627). `env`: as `goal_and_crash` if the env ends episodes at
+            their goals, or else as `sb3`. In the first case, transitions that start at the virtual
+            goal are not relabelled: the agent would learn that standing still is success.
+        goal_velocity: the velocity of virtual goals: `achieved`, or `zero` as in real goals.
         reward: the env's reward.
 
     Raises:
@@ -99,7 +99,9 @@ class HerBuffer(DictReplayBuffer):
         self.relabel_collision = relabel_collision
         self.relabel_terminated = relabel_terminated
         self.goal_velocity = goal_velocity
-        self.sampled = [0, 0]  # real transitions, virtual ones
+        # Numbers of transitions sampled so far.
+        self.n_real = 0
+        self.n_virtual = 0
         self._info_keys = reward.info_keys
         n_info = len(self._info_keys)
         self.storage = Storage(self.buffer_size, n_envs, observation_space, action_space, n_info)
@@ -110,8 +112,8 @@ class HerBuffer(DictReplayBuffer):
     @property
     def real_share(self) -> float | None:
         """Fraction of real transitions among all sampled so far; None before the first."""
-        real, virtual = self.sampled
-        return real / (real + virtual) if real else None
+        n_sampled = self.n_real + self.n_virtual
+        return self.n_real / n_sampled if n_sampled else None
 
     def add(  # type: ignore[override]
         self,
@@ -213,7 +215,7 @@ class HerBuffer(DictReplayBuffer):
         """Return the whole state as arrays, uncopied."""
         rng = json.dumps(self.rng.bit_generator.state).encode()
         state = {
-            "sampled": np.array(self.sampled),
+            "sampled": np.array([self.n_real, self.n_virtual]),
             "rng": np.frombuffer(rng, np.uint8),
             **self.storage.get_state(),
         }
@@ -224,7 +226,7 @@ class HerBuffer(DictReplayBuffer):
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Restore a state of a buffer with the same arguments; what follows is identical."""
-        self.sampled = state["sampled"].tolist()
+        self.n_real, self.n_virtual = state["sampled"].tolist()
         self.rng.bit_generator.state = json.loads(state["rng"].tobytes())
         self.storage.set_state(state)
         self._update_position()
@@ -234,9 +236,9 @@ class HerBuffer(DictReplayBuffer):
             self.demonstrations.set_transitions(demonstrated)
 
     def set_transitions(self, state: Mapping[str, np.ndarray]) -> None:
-        """Take over the transitions of a state, whose episodes under way end there.
+        """Replace the stored transitions with those of a state, and end its unfinished episodes.
 
-        They count as timeouts, since they did not terminate. The generator stays this buffer's own.
+        These count as timeouts, since they did not terminate. The buffer keeps its own generator.
 
         Raises:
             ModelError: the transitions have other fields.
@@ -259,8 +261,8 @@ class HerBuffer(DictReplayBuffer):
             All transitions as tensors.
         """
         n_virtual = self._relabel(transitions, goal_index) if len(goal_index) else 0
-        self.sampled[0] += len(transitions.rewards) - n_virtual
-        self.sampled[1] += n_virtual
+        self.n_real += len(transitions.rewards) - n_virtual
+        self.n_virtual += n_virtual
         return DictReplayBufferSamples(
             observations=self._tensors(transitions.obs),
             actions=self._tensor(transitions.actions),
@@ -299,7 +301,7 @@ class HerBuffer(DictReplayBuffer):
     def _may_relabel(
         self, transitions: Transitions, goal_index: np.ndarray, goals: np.ndarray
     ) -> np.ndarray:
-        """Return which of the last transitions the options allow a virtual goal, shape (n,)."""
+        """Return a mask of the last transitions that may be relabelled, shape (n,)."""
         last = slice(-len(goal_index), None)
         allowed = np.ones(len(goals), bool)
         if self.relabel_collision == "exclude":

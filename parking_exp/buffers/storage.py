@@ -35,9 +35,10 @@ class Transitions:
 class Storage:
     """Ring buffer of `capacity` rows, and the index of its episodes.
 
-    A row has one transition of each of `n_envs` envs. Compact storage leaves out an achieved goal
-    that equals the observation, as in parking-v0, and a desired goal that is constant within an
-    episode, whose record has it. The first transition that violates this widens all rows.
+    A row has one transition of each of `n_envs` envs. Storage is compact while achieved goals equal
+    observations, as in parking-v0, and desired goals are constant within an episode. It stores no
+    achieved goals then, and one desired goal in the record of each episode. The first transition
+    that violates this widens all rows.
 
     A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark. The record
     of its episode takes 56. If K vehicles make the observation wider than a goal, a transition

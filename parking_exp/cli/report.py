@@ -31,7 +31,7 @@ def report(overrides: list[str], extra_config_dir: str | None) -> None:
 
 
 def read_overrides(words: list[str]) -> list[str]:
-    """Return Hydra's overrides for the words after `report.py`: all words but its keys name cells.
+    """Convert the words after `report.py` to overrides; words that set no known key name cells.
 
     Labels of cells have commas, equal signs and spaces, which have another meaning for Hydra.
     """

@@ -107,7 +107,7 @@ def _prune(request: StatusRequest) -> None:
 
 
 def _delete_stored(directory: RunDirectory, stores: list[Store]) -> None:
-    """Mark a run as deleted in the store that it is tracked in, if that is among some stores."""
+    """Mark a run as deleted in its store, if that is one of `stores`."""
     for store in stores:
         if directory.run_id is not None and store.tracks(directory):
             delete_stored(directory, store)

@@ -32,11 +32,13 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
         names_launcher = any(
             override.lstrip("+~").startswith("hydra/launcher") for override in overrides
         )
-        # These need a supervisor, so that even a single run becomes a sweep.
+        # Even a single run becomes a sweep for a launcher, a time limit, a dry run or a retry.
         is_elsewhere = names_launcher or cells[0].launcher != "local"
-        supervised = is_elsewhere or options.dry_run or options.retry or planned[0].config.timeout_s
+        has_limit = planned[0].config.timeout_s is not None
+        needs_plan = options.dry_run or options.retry is not None
+        is_sweep = len(planned) > 1 or is_elsewhere or has_limit or needs_plan
 
-    if len(planned) > 1 or supervised:
+    if is_sweep:
         is_due = any(run.is_due for run in planned)
         launcher = make_launcher(cells, extra_config_dir, connect=is_due and not options.dry_run)
         sweep(planned, launcher, dry_run=options.dry_run)

@@ -44,9 +44,9 @@ ALLOWED = frozenset(f"{module}.{name}" for module, names in CLASSES.items() for 
 
 
 def check_trust(config: RunConfig, source: Path) -> None:
-    """Refuse a stored config that would execute anything but the classes of the allow-list.
+    """Refuse a stored config that names a class outside the allow-list.
 
-    The config is what the file `source` holds.
+    `source` is the file of the config, for the message.
 
     Raises:
         UntrustedError: a class or `_target_` is not on the list.

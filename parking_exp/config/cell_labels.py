@@ -90,9 +90,9 @@ def _add_key_columns(
 
 
 def _rank(key: str) -> tuple[bool, bool]:
-    """Return the rank of a key among keys that change together, which the first represents.
+    """Return the sort key of a key; the first of several keys that change together represents them.
 
-    Evaluation keys come last, and keys of groups after top-level keys: `n_envs` represents the
+    Top-level keys come first, then keys of groups, then evaluation keys: `n_envs` represents the
     warm-up that it requires.
     """
     return key.startswith("evaluation."), "." in key
@@ -134,7 +134,7 @@ def labels_from_factors(
 ) -> list[str]:
     """Return unique labels such as `her_final, n_sampled_goal=8`.
 
-    Equal ones get the key at the end of the cell's name.
+    Equal and empty labels get the key at the end of the cell's name.
     """
     texts = [label_factors(factors, values) for values in settings]
     labels = []

@@ -14,18 +14,13 @@ import yaml
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import OverrideType
-from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
-from omegaconf.errors import (
-    ConfigAttributeError,
-    ConfigKeyError,
-    KeyValidationError,
-    OmegaConfBaseException,
-)
+from omegaconf.errors import OmegaConfBaseException
 
-from parking_exp.config.constructor_arguments import argument_hint
 from parking_exp.config.grid import MAX_RUNS, Block, Point, expand_points, read_blocks, seeds_of
-from parking_exp.config.hydra_settings import check_hydra_settings, what_instead
+from parking_exp.config.hydra_errors import explain
+from parking_exp.config.hydra_settings import check_hydra_settings
 from parking_exp.config.overrides import (
     axes_of,
     conf_dir,
@@ -35,10 +30,8 @@ from parking_exp.config.overrides import (
     to_hydra_syntax,
 )
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.settings import flatten_config
 from parking_exp.config.validate import validate
-from parking_exp.errors import ConfigError, ParkingError, first_line, one_line
-from parking_exp.phrases import suggestion
+from parking_exp.errors import ConfigError, ParkingError
 
 VERSION_BASE = "1.3"
 LAUNCHING = ("config", "tune")  # roots of the commands that launch runs
@@ -46,10 +39,10 @@ LAUNCHING = ("config", "tune")  # roots of the commands that launch runs
 
 @dataclass(frozen=True, eq=False)
 class ComposedCell:
-    """A cell as Hydra composed it; all its runs share this object, by which cells are told apart.
+    """A cell as Hydra composed it. All its runs share this object; cells are compared by identity.
 
     Attributes:
-        config: its config, whose seed each run replaces, unless the run has none.
+        config: its config; a run with a seed replaces the config's seed.
         options: the option of each group.
         launcher: the name of its launcher.
         launcher_settings: the launcher's class and arguments.
@@ -226,7 +219,7 @@ def _expand_runs(composer: _Composer, axes: dict[str, list[str]]) -> list[Compos
     cells: dict[str, ComposedCell] = {}
     for point in all_points:
         cell = composer.compose(point)
-        # Blocks may overlap. Text tells all values apart, as `to_yaml` does in 40 times the time.
+        # Blocks may overlap. `str` tells all configs apart, and is 40 times faster than `to_yaml`.
         cells[str(cell.config)] = cell
 
     runs = []
@@ -276,7 +269,7 @@ def value_of_level(key: str, _root_: DictConfig) -> Any:
 
 
 def _check_level(env: DictConfig) -> None:
-    """Refuse a level from which no number of an env follows; a stored env has no levels."""
+    """Refuse a level that no key of an env depends on; a stored env has no levels."""
     if env.level and "levels" in env and "${level:" not in OmegaConf.to_yaml(env):
         raise ConfigError(
             f"env.level={env.level} has no effect: no key of env={env.name} depends on the level"
@@ -303,7 +296,7 @@ def user_options(extra_config_dir: str | Path | None) -> list[str]:
 
 @contextmanager
 def hydra_ready() -> Iterator[None]:
-    """Initialize Hydra with our tree; its and OmegaConf's errors become a ConfigError."""
+    """Initialize Hydra with our configs; turn errors of Hydra and OmegaConf into ConfigError."""
     # We may be called within a Hydra app, such as a benchmark or a user's own.
     outer = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
@@ -319,61 +312,6 @@ def hydra_ready() -> Iterator[None]:
     except (HydraException, OmegaConfBaseException, yaml.YAMLError) as error:
         if isinstance(error.__cause__, ParkingError):  # ours, wrapped by Hydra
             raise error.__cause__ from error
-        raise ConfigError(_sentence_of_hydra(error)) from error
+        raise ConfigError(explain(error)) from error
     finally:
         GlobalHydra.instance().hydra = outer
-
-
-def _sentence_of_hydra(error: Exception) -> str:
-    """Return what Hydra, OmegaConf or YAML say in a line, and a name close to an unknown one."""
-    if isinstance(error, OverrideParseException):
-        return (
-            f"{error.override}: can't be parsed; write KEY=VALUE, KEY=[1,2] for a list, \"KEY='a "
-            "(b)'\" for text"
-        )
-    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
-        group, _, option = str(error.missing_cfg_file).rpartition("/")
-        return f"{group}={option}: there is no such option{suggestion(option, error.options or [])}"
-    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
-    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and cause.parent_node is not None:
-        return _unknown_key(cause)
-    if any(isinstance(item, KeyValidationError) for item in (cause, error.__context__)):
-        return "a config file has a key that is null or not a word; write it in quotes, as 'null'"
-    if isinstance(cause, OmegaConfBaseException) and cause.full_key:
-        return f"{cause.full_key}: {first_line(cause)}"
-    return one_line(error)
-
-
-def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
-    """Name an unknown key, and the closest one of its section."""
-    key = str(error.full_key)
-    name = str(error.key)
-    known = _container(error.parent_node)
-    section = key.rpartition(".")[0]
-    if key.startswith("hydra.") and not key.startswith("hydra.launcher."):
-        return f"{key} has no effect; {what_instead(key.removeprefix('hydra.'))}"
-    if not isinstance(known, dict):
-        return f"{key}: {section} has no keys"
-    path = next((path for path in flatten_config(known) if f".{name}." in f"{path}."), None)
-    if path is not None:  # a section was left out
-        hint = f"; did you mean {f'{section}.{path.partition(name)[0]}{name}'.lstrip('.')!r}?"
-    elif "_target_" in known:
-        hint = argument_hint(key, known, _hint_at_options(section, name))
-    elif not known:  # takes other keys, too
-        hint = f"; write ++{key}=VALUE to add it"
-    else:
-        hint = _hint_at_options(section, name) or suggestion(name, known)
-    option = f" in {section}={known['name']}" if section and "name" in known else ""
-    return f"{key}: there is no such key{option}{hint}"
-
-
-def _hint_at_options(group: str, name: str) -> str:
-    """Name options of a group that have a key; empty if there are none."""
-    options = []
-    for file in sorted((conf_dir() / group).glob("*.yaml")):
-        keys = yaml.safe_load(file.read_text()) or {}
-        if group and name in keys:
-            options.append(file.stem)
-    if not options:
-        return ""
-    return f"; use it only with options that have it, such as {group}={','.join(options)}"

@@ -1,8 +1,8 @@
 """Check the arguments of third-party classes against their signatures, nested ones included.
 
 Nested arguments are nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and
-features extractor. Classes are imported, and torch with them, unless `conf/` uses them with the
-same arguments (`KNOWN_ARGUMENTS`), so everything that can be checked without them is checked first.
+features extractor. Classes that `conf/` uses with the same arguments (`KNOWN_ARGUMENTS`) are not
+imported. Other classes are, and torch with them, so everything else is checked first.
 """
 
 import inspect
@@ -44,7 +44,7 @@ DEFAULT_CLASSES = {
 POLICY = "MultiInputPolicy"
 MIRRORED_POLICIES = "parking_exp.algorithms.mirrored_policies.MIRRORED"
 PLAIN_TYPES = (int, float, bool, str, NoneType)
-CHECKED_TYPES = (Literal, Annotated)  # of annotations that pydantic checks as they are
+CHECKED_TYPES = (Literal, Annotated)  # annotations that pydantic checks as they are
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # By section, our own keys beside the class's arguments.
 SECTION_KEYS = {"algorithm": AlgorithmConfig.model_fields, "buffer": BufferConfig.model_fields}
@@ -135,7 +135,7 @@ def _demonstration_problems(buffer: BufferConfig, env: Any) -> Iterator[str]:
         policy = import_object(class_path(buffer.demonstrator))
         problems = [f"{key}: {problem}" for problem in policy.problems(env)]
     yield from problems
-    # A class with a `sample` of its own would draw none of them.
+    # A class with its own `sample` would sample no demonstrations.
     own_sample = getattr(import_object(buffer.target), "sample", None)
     if own_sample is not import_object(HER_BUFFER).sample:
         yield (
@@ -158,7 +158,7 @@ def takes(call: Any, name: str) -> bool:
 def argument_hint(key: str, node: Mapping[str, Any], option_hint: str) -> str:
     """Say what to type instead of an unknown key of a node, whose class may take other keys.
 
-    If it does not, return the hint at other options, unless that is empty.
+    If the class takes no similar key, return `option_hint`, unless it is empty.
     """
     section, _, name = key.rpartition(".")
     hint = did_you_mean(name, node, cutoff=SIMILAR)
@@ -242,7 +242,8 @@ def _target_problems(
     given = {}
     if isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
-    # Known classes are not imported. None of them is a scripted policy, which has to be said.
+    # Known classes are not imported. None of them is a scripted policy, so where one is needed the
+    # class is imported, and refused below.
     if base != SCRIPTED_POLICY and given and set(given) in KNOWN_ARGUMENTS.get(str(target), ()):
         signature = _Signature(target.rpartition(".")[2], is_open=True)
         yield from _argument_problems(key, signature, given)
@@ -290,7 +291,7 @@ def _argument_problems(
 
 
 def _value_problems(key: str, value: Any, annotation: Any, limit: Any) -> Iterator[str]:
-    """Yield that a value is out of its range or, without a range, is not of its annotated type."""
+    """Yield a sentence if a value is out of its range or, without a range, has the wrong type."""
     types = {annotation}
     if get_origin(annotation) not in CHECKED_TYPES:
         types = set(get_args(annotation)) or types

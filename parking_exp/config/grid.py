@@ -133,7 +133,7 @@ def _is_seed(value: object) -> bool:
 
 
 def _override(key: str, value: str) -> str:
-    """Return an override in Hydra's syntax, which only values of `label` are not in yet."""
+    """Return an override in Hydra's syntax; only values of `label` still need quotes."""
     if key.lstrip("+") == "label" and value != "null":
         value = in_quotes(value)
     return f"{key}={value}"

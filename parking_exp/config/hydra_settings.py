@@ -19,7 +19,7 @@ ACCEPTED: tuple[str, ...] = (
     "searchpath",
 )
 OUTPUT = "set output_dir=DIR and experiment_name=NAME"
-# By the prefix of a key, of which the first that fits counts: what to type instead.
+# What to type instead, by the prefix of the key; the first prefix that fits counts.
 INSTEAD = {
     "launcher.": "this command launches no runs; leave it out",
     "sweeper.": (

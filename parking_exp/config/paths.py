@@ -16,7 +16,7 @@ PARAMETERS = (
     "sslkey|sslmode|sslrootcert|target_session_attrs|trusted_connection|trustservercertificate|"
     "unix_socket"
 )
-"""Parameters of database drivers whose values are no secrets."""
+"""Parameters of database drivers whose values are not secret."""
 WITHOUT_SECRET = re.compile(
     rf"""sqlite:///.*
     | [^@?#;]*
@@ -28,11 +28,11 @@ WITHOUT_SECRET = re.compile(
 
 
 def refuse_password(uri: str) -> str:
-    """Return a URI that is known to have no password or token in it.
+    """Refuse a URI that may contain a password or token, and return any other.
 
     Raises:
-        ConfigError: it may have one, which would be stored with the run and shown in the list of
-            processes.
+        ConfigError: it may contain a secret, which would be stored with the run and shown in the
+            list of processes.
     """
     if not WITHOUT_SECRET.fullmatch(uri):
         raise ConfigError(
@@ -48,8 +48,8 @@ def directory_path(text: str | Path) -> Path:
     return Path(os.path.normpath(Path(os.path.expanduser(text)).absolute()))  # noqa: PTH111
 
 
-def refuse_question_mark(path: Path) -> Path:
-    """Return a path that a sqlite URI can have.
+def refuse_question_mark(path: Path) -> None:
+    """Refuse a path that a sqlite URI can't have.
 
     Raises:
         ConfigError: it has a question mark, at which such a URI ends.
@@ -59,7 +59,6 @@ def refuse_question_mark(path: Path) -> Path:
             f"{path} has a question mark, at which the URI of a sqlite store ends; choose another "
             "path"
         )
-    return path
 
 
 def default_uri(output_dir: Path) -> str:

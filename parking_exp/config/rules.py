@@ -9,9 +9,9 @@ from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Task
 
 HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
-FAR = 8
-"""The factor from which on a ratio is far from the one that the number of envs suggests."""
-MANY_FOR_FEW = 32
+FAR_FACTOR = 8
+"""A ratio is far from the suggested one if it is larger or smaller by more than this factor."""
+MAX_ENVS_FOR_FEW = 32
 """The most envs for which envs=few is an alternative."""
 MAX_ROUND = 1000
 """The most steps of each env from one round of updates to the next."""
@@ -46,11 +46,11 @@ def _buffer_problems(run: RunConfig) -> Iterator[str]:
                 )
     longest = run.env.for_training().episode_steps()
     if longest is not None and run.is_trained:
-        yield from length_problems(run, longest)
+        yield from _length_problems(run, longest)
     yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
 
 
-def length_problems(run: RunConfig, longest: int) -> Iterator[str]:
+def _length_problems(run: RunConfig, longest: int) -> Iterator[str]:
     """Yield a sentence for each key that is too small for the longest training episode."""
     starts = run.algorithm.arguments.get("learning_starts")
     buffer = run.buffer.arguments
@@ -97,7 +97,7 @@ def task_problems(runs: Iterable[RunConfig]) -> Iterator[str]:
                 return
             for run in runs_of_env:
                 if run.is_trained and env.for_training().episode_steps() is None:
-                    yield from length_problems(run, task.episode_steps)
+                    yield from _length_problems(run, task.episode_steps)
                 yield from _noise_problems(run, task)
 
 
@@ -140,13 +140,14 @@ def update_ratio_warning(run: RunConfig) -> str | None:
     learns well for its cost. With more, 8 updates per step of all envs do.
     """
     suggested = min(1, 8 / run.n_envs)
-    if not run.is_trained or suggested / FAR <= run.updates_per_step <= suggested * FAR:
+    is_near = suggested / FAR_FACTOR <= run.updates_per_step <= suggested * FAR_FACTOR
+    if is_near or not run.is_trained:
         return None
     warning = (
         f"updates_per_step={run.updates_per_step} is far from {suggested:.5g}, which "
         f"n_envs={run.n_envs} suggests"
     )
-    if run.n_envs <= MANY_FOR_FEW and run.updates_per_step < suggested:
+    if run.n_envs <= MAX_ENVS_FOR_FEW and run.updates_per_step < suggested:
         warning += "; envs=few sets 8 envs and the keys that depend on their number"
     return warning
 

@@ -8,7 +8,6 @@ Arguments of third-party classes keep the library's names, and are checked by
 import re
 from collections.abc import Mapping
 from fractions import Fraction
-from operator import not_
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -41,6 +40,7 @@ from parking_exp.config_model import (
     Name,
     NumberOfEpisodes,
     Share,
+    equals,
 )
 from parking_exp.tasks.registry import EnvConfig
 
@@ -138,9 +138,9 @@ class BufferConfig(ThirdParty):
 
     buffer_size: Annotated[int, Field(ge=1, le=100_000_000)]  # 11 GB
     # Left out of stored configs where they are the defaults.
-    demonstrations: Annotated[int, Field(ge=0, le=10_000, exclude_if=not_)] = 0
-    demonstration_share: Annotated[Share, Field(lt=1, exclude_if=(0.25).__eq__)] = 0.25
-    demonstrator: Annotated[Node, Field(exclude_if=PLANNER.__eq__)] = PLANNER
+    demonstrations: Annotated[int, Field(ge=0, le=10_000, exclude_if=equals(0))] = 0
+    demonstration_share: Annotated[Share, Field(lt=1, exclude_if=equals(0.25))] = 0.25
+    demonstrator: Annotated[Node, Field(exclude_if=equals(PLANNER))] = PLANNER
 
 
 FINAL_EVALUATION = {"final_n_scenes", "n_certified_scenes", "video_episodes"}

@@ -20,7 +20,7 @@ from parking_exp.tasks.registry import TASKS
 
 Model = TypeVar("Model", bound=BaseModel)
 # omegaconf puts this before the message of a ConfigError.
-OF_RESOLVER = "ConfigError raised while resolving interpolation: "
+RESOLVER_PREFIX = "ConfigError raised while resolving interpolation: "
 Config = DictConfig | Mapping[str, Any]
 
 # Keys that define a sweep, not a run.
@@ -73,14 +73,14 @@ def parse_config(model: type[Model], config: Config, without: Set[str] = frozens
         raise ConfigError(f"{error.full_key} is missing") from error
     except OmegaConfBaseException as error:
         reason = first_line(error)
-        if reason.startswith(OF_RESOLVER):  # its message names the key
-            raise ConfigError(reason.removeprefix(OF_RESOLVER)) from error
+        if reason.startswith(RESOLVER_PREFIX):  # its message names the key
+            raise ConfigError(reason.removeprefix(RESOLVER_PREFIX)) from error
         raise ConfigError(f"{error.full_key}: {reason}") from error
     return parse_plain(model, {key: value for key, value in plain.items() if key not in without})
 
 
 def parse_plain(model: type[Model], plain: Mapping[str, Any]) -> Model:
-    """Return plain values as a schema's model, once they are checked.
+    """Check plain values against a schema, and return them as its model.
 
     Raises:
         ConfigError: see `validate`.

@@ -15,7 +15,7 @@ from parking_exp.tasks.metrics import EPISODE_SEED, Episode, Metric, episode_col
 from parking_exp.tasks.rollout import rollout, seed_batches
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
-TOLERANCE = 1e-9  # of numbers, between two simulators
+TOLERANCE = 1e-9  # difference of numbers between two simulators
 Metrics = Sequence[Metric]
 
 
@@ -29,8 +29,7 @@ def evaluate_policy(
 ) -> pd.DataFrame:
     """Run one episode from each seed and return one row per episode, in the order of `seeds`.
 
-    The policy sees the episodes in batches, without those that are finished: the same batches in
-    every simulator.
+    The policy sees the unfinished episodes of a batch. The batches are the same in every simulator.
 
     Args:
         policy: the policy that is evaluated.
@@ -70,7 +69,7 @@ def find_differences(episodes: pd.DataFrame, reference: pd.DataFrame) -> list[st
 def summarise(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, float]:
     """Return the rate or mean of every metric: success_rate, ..., return_mean.
 
-    A metric that no episode has, such as a time to success without any, has no mean.
+    A metric that no episode has is left out, such as the time to success if no episode succeeds.
     """
     means = {metric.key: float(metric.values(episodes).mean()) for metric in metrics}
     return {key: mean for key, mean in means.items() if not math.isnan(mean)}

@@ -81,7 +81,7 @@ class Evaluation:
 
 
 def _env_settings(env: EnvConfig) -> dict[str, Setting]:
-    """Return what makes the episodes of an env differ, as dotted keys, without the agent's part."""
+    """Return the settings that can change an env's episodes, without the keys of the agent."""
     plain = {"env": env.model_dump(exclude={"simulator", "metrics", *env.agent_keys})}
     return with_defaults(flatten_config(plain))
 

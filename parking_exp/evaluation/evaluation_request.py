@@ -49,7 +49,7 @@ class EvaluationRequest(AgentRequest):
     tracking: ResultsTracking
     # An option of `env` with its changes, or changes of the env of training.
     env: dict[str, Any] | None = None
-    # Of a model file; options of `env` also bring one, for training.
+    # The algorithm of a model file; options of `env` also bring one, for training.
     algorithm: dict[str, Any] | None = None
 
     @property

@@ -14,8 +14,8 @@ from parking_exp.runs.lookup import LATEST, find_runs
 def pin_source(config: RunConfig) -> RunConfig:
     """Return a config whose `init` always means the same run.
 
-    It is the run's path in the output directory, and absolute if the run lies elsewhere. `latest`
-    is what it was when this config was planned first, so that a repeated command resumes its runs.
+    `init` becomes the run's path, relative if it is in the output directory. `latest` becomes the
+    run that it meant when this config was first planned, so a repeated command resumes its runs.
 
     Raises:
         RunNotFoundError: there is no such run.
@@ -32,7 +32,7 @@ def pin_source(config: RunConfig) -> RunConfig:
 
 
 def _planned_source(config: RunConfig) -> str | None:
-    """Return what `latest` was when runs of this config were planned; None if none were."""
+    """Return the run that `latest` meant when this config was planned; None if it never was."""
     for path in find_runs(config.output_path, config.experiment_name):
         with suppress(ConfigError):  # it is damaged
             planned = RunDirectory(path).config()
@@ -59,7 +59,7 @@ def _source_path(init: str, output_path: Path) -> str:
 
 
 def find_source(config: RunConfig) -> Agent:
-    """Return the agent that a run starts from; of a cell, the one with the run's own seed.
+    """Return the agent that a run starts from; if `init` is a cell, its run with the same seed.
 
     Nothing in its config is executed, since only its weights are loaded.
 

@@ -55,8 +55,8 @@ def find_agent_in_file(
         run: path of the file.
         output_dir: where its evaluations are written.
         env: the `env` group that it is evaluated on.
-        algorithm: what the user chose of the `algorithm` group. Its class is found in the file
-            unless it is named, and so are all arguments of the policy that can be found safely.
+        algorithm: keys of the `algorithm` group that the user set. The class and the arguments of
+            the policy that are not set come from the file, if they can be read safely.
 
     Raises:
         ConfigError: the policy refuses its arguments.
@@ -119,7 +119,7 @@ def _read_data(path: Path) -> dict[str, Any]:
                 raise ValueError(f"data has more than {MAX_JSON:,} bytes")
             data = json.loads(archive.read("data"))
             if not isinstance(data, dict):
-                raise ValueError("data is no object")
+                raise ValueError("data is not a JSON object")
     except Exception as error:  # damaged bytes make zipfile raise anything
         raise ModelError(f"{path} is damaged ({one_line(error)})") from error
     return data
@@ -149,7 +149,7 @@ def _policy_kwargs(
             unknown.add("activation_fn")
 
     for name in sorted(unknown):
-        if not name.startswith(":"):  # the keys of a pickled dict
+        if not name.startswith(":"):  # `:type:` and `:serialized:` describe a pickled dict
             raise ModelError(
                 f"{path} was trained with policy_kwargs {name}={one_line(made_with[name])}, which "
                 f"is pickled there; pass algorithm.policy_kwargs.{name}=VALUE"

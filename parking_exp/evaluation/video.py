@@ -34,7 +34,7 @@ def record_video(
 
 def _write_files(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    stride = max(1, task.frame_rate // 5)  # of the GIF's frames: small enough for a README
+    stride = max(1, task.frame_rate // 5)  # few frames: a GIF small enough for a README
     gif_frames = []
     with replacing(path) as temporary:
         video: Any = iio.get_writer(

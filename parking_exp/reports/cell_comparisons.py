@@ -18,7 +18,8 @@ from parking_exp.statistics import (
 
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
-MAX_LEVELS = 12  # of a factor; more are values drawn from a range
+# With more levels, values were probably drawn from a range: no main effects.
+MAX_LEVELS = 12
 COVERED = 0.75  # share of the combinations that makes a design crossed
 
 FAMILY = (
@@ -35,12 +36,12 @@ class Family(NamedTuple):
     """Pairs of cells that are compared together.
 
     Attributes:
-        sentence: declares them.
-        reference: id of the cell that is part of all of them, if any.
-        declared: whether they were declared as contrasts.
+        sentence: says which pairs they are and how p is corrected.
+        reference: id of the cell that is part of all pairs, if any.
+        declared: whether the pairs were declared as contrasts.
     """
 
-    couples: Sequence[tuple[CellSummary, CellSummary]] = ()
+    cell_pairs: Sequence[tuple[CellSummary, CellSummary]] = ()
     sentence: str = ""
     reference: str | None = None
     declared: bool = False
@@ -49,10 +50,14 @@ class Family(NamedTuple):
 def choose_family(
     cells: Sequence[CellSummary], baseline: str | None, contrasts: Sequence[tuple[str, str]]
 ) -> Family:
-    """Return the pairs that a report compares, of cells given by their ids.
+    """Return the pairs that a report compares; baseline and contrasts are ids of cells.
 
-    These are all cells against the baseline, else the contrasts, else all pairs or, where cells are
-    many, all against the one with the highest mean.
+    The first of these that is possible:
+
+    - all cells against the baseline
+    - the contrasts
+    - all pairs of at most ALL_PAIRS_UP_TO cells
+    - all cells against the cell with the highest mean
     """
     rated = {cell.id: cell for cell in cells if cell.success.value is not None}
     if baseline in rated:
@@ -68,31 +73,33 @@ def choose_family(
         family = _compare_with(best, rated, "the one with the highest mean")
         return family._replace(sentence=family.sentence + CHOSEN_BY_RESULT)
 
-    couples = list(combinations(rated.values(), 2))
-    if not couples:
+    cell_pairs = list(combinations(rated.values(), 2))
+    if not cell_pairs:
         return Family()
-    words = f"all {len(couples)} pairs of {len(rated)} cells" if len(couples) > 1 else "two cells"
-    return Family(couples, FAMILY.format(words))
+    words = "two cells"
+    if len(cell_pairs) > 1:
+        words = f"all {len(cell_pairs)} pairs of {len(rated)} cells"
+    return Family(cell_pairs, FAMILY.format(words))
 
 
 def _compare_with(reference: CellSummary, rated: Mapping[str, CellSummary], name: str) -> Family:
-    couples = [(cell, reference) for cell in rated.values() if cell is not reference]
-    if not couples:
+    cell_pairs = [(cell, reference) for cell in rated.values() if cell is not reference]
+    if not cell_pairs:
         return Family()
-    words = f"{plural(len(couples), 'cell')} against {name}"
-    return Family(couples, FAMILY.format(words), reference.id)
+    words = f"{plural(len(cell_pairs), 'cell')} against {name}"
+    return Family(cell_pairs, FAMILY.format(words), reference.id)
 
 
-def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pair]:
+def compare_pairs(cell_pairs: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pair]:
     """Return the comparisons of a family, each corrected for all of them."""
     from scipy.stats import mannwhitneyu
 
-    rates = [(seed_rates(a), seed_rates(b)) for a, b in couples]
-    n_pairs = len(couples)
+    rates = [(seed_rates(a), seed_rates(b)) for a, b in cell_pairs]
+    n_pairs = len(cell_pairs)
     differences = compare([([a], [b]) for a, b in rates], SIGNIFICANT, n_pairs)
 
     pairs = []
-    for (a, b), (a_rates, b_rates), difference in zip(couples, rates, differences, strict=True):
+    for (a, b), (a_rates, b_rates), difference in zip(cell_pairs, rates, differences, strict=True):
         rank_p = None
         if difference.p is not None:
             rank_p = min(1.0, n_pairs * mannwhitneyu(a_rates.rates, b_rates.rates).pvalue)
@@ -101,7 +108,10 @@ def compare_pairs(couples: Sequence[tuple[CellSummary, CellSummary]]) -> list[Pa
 
 
 def seed_rates(cell: CellSummary) -> SeedRates:
-    """Return the final success of a cell's seeds, at least one, and the fewest episodes of one."""
+    """Return the final success of a cell's seeds, and the fewest episodes of any seed.
+
+    At least one seed must have a rate.
+    """
     rates = []
     n_episodes = []
     for seed in cell.seeds:
@@ -127,14 +137,14 @@ def judge(difference: Difference) -> Verdict:
 
 
 def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> list[MainEffect]:
-    """Return what each factor does on average over the others.
+    """Return the main effect of each factor.
 
-    There is nothing unless factors are crossed, or one number has three levels. A control without
-    one of the keys, such as replay, which has no `n_sampled_goal`, is left out.
+    There are none unless factors are crossed, or the only factor is a number with three or more
+    levels. A control that lacks a factor is left out: replay, e.g., has no `n_sampled_goal`.
     """
-    full = [cell for cell in cells if None not in cell.settings.values()]
-    varied = _find_varied(full, factors)
-    rated = [cell for cell in full if cell.success.value is not None]
+    complete_cells = [cell for cell in cells if None not in cell.settings.values()]
+    varied = _find_varied(complete_cells, factors)
+    rated = [cell for cell in complete_cells if cell.success.value is not None]
     if not varied or not rated:
         return []
     rates = []
@@ -145,7 +155,7 @@ def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> l
 
 
 def _find_varied(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> list[str]:
-    """Return the keys of the factors that are crossed, or of the one that is a series."""
+    """Return the keys of crossed factors, or of a single number with three or more levels."""
     n_levels = {}
     for factor in factors:
         levels = {cell.settings[factor.key] for cell in cells}

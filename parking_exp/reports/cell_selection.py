@@ -42,8 +42,8 @@ class CellRuns:
         name: folder of its runs.
         label: what distinguishes it from the others of the report.
         settings: value of each factor.
-        runs: rows of `Results.runs` by seed, with `is_done`. Of runs with equal seeds it has the
-            one that is done, or else is newer.
+        runs: rows of `Results.runs` by seed, with `is_done`. If several runs have the same seed,
+            it has the finished one, or else the newest.
     """
 
     experiment: str
@@ -73,7 +73,7 @@ class CellRuns:
 def group_runs(runs: pd.DataFrame) -> list[CellRuns]:
     """Return the cells of some runs, in the order of their factors' levels.
 
-    Levels that are numbers are in the order of these, others in the order in which they were begun.
+    Numeric levels are sorted. Other levels are in the order in which their first runs started.
     """
     begun = runs.sort_values("started", kind="stable")
     begun["is_done"] = begun["status"] == "done"
@@ -98,9 +98,9 @@ def _make_cell(rows: pd.DataFrame) -> CellRuns:
 
 
 def _read_config(configs: pd.DataFrame) -> dict[str, Setting]:
-    """Return the first config, which runs with a damaged file lack.
+    """Return the config of the first run that has one; runs with a damaged file have none.
 
-    Frames do not distinguish a null from a missing key.
+    Null values are left out: in a frame, they look like missing keys.
     """
     if configs.empty:
         return {}
@@ -115,7 +115,7 @@ def _read_config(configs: pd.DataFrame) -> dict[str, Setting]:
 
 
 def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
-    """Return cells with ids and labels that distinguish these alone, and the factors."""
+    """Give cells ids, and labels by what distinguishes them; return them and the factors."""
     configs = [cell.config for cell in cells]
     names = [cell.name for cell in cells]
     factors, settings = find_factors(configs, [cell.experiment for cell in cells])
@@ -133,10 +133,10 @@ def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
 def choose_cells(
     cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells"
 ) -> list[CellRuns]:
-    """Return the cells that fit any of the labels, names and patterns, and all `KEY=VALUE,VALUE`.
+    """Return the cells that fit any label, name or pattern, and all conditions.
 
-    A pattern is e.g. `her_*`. KEY is a group, a config key or the end of one; the values are those
-    it may have.
+    A pattern is e.g. `her_*`. A condition `KEY=VALUE,VALUE` lists the values that KEY may have.
+    KEY is a group, a config key or the end of a config key.
     """
     labels = {cell.label for cell in cells} | {cell.name for cell in cells}
     words = {cell: _list_words(cell) for cell in cells}
@@ -239,8 +239,8 @@ def find_contrasts(
 ) -> tuple[list[tuple[CellRuns, CellRuns]], list[str], list[str]]:
     """Return the pairs of cells that experiments declare as `contrasts`.
 
-    The contrasts of an experiment's first run count. They name its cells as a report on it alone
-    does.
+    The first run of an experiment declares them. They name its cells as in a report on this
+    experiment alone.
 
     Returns:
         The pairs; the contrasts that name no cell, as `A minus B`; and warnings, a sentence for
@@ -279,8 +279,7 @@ def match_cells(
 ) -> list[tuple[CellRuns, CellRuns]]:
     """Return the pairs of cells that differ in one factor alone, for `FACTOR:LEVEL-LEVEL`.
 
-    A factor that one of the two cells does not have is not compared, such as `n_sampled_goal` of
-    replay.
+    Factors that one of the two cells lacks are ignored, such as `n_sampled_goal` of replay.
 
     Raises:
         ConfigError: there is no such key or level, or no two cells match.

@@ -193,13 +193,13 @@ def _measure_time_to_90(seeds: Sequence[RunSummary]) -> dict[str, Any]:
         "n_timed": len(timed),
         "n_reached_90": n_reached_90,
         "steps_to_90": _median_time([seed.steps_to_90 for seed in timed]),
-        # A time that is not known is not one that is never reached.
+        # An unknown CPU time does not mean that a seed never reached 90 %.
         "cpu_s_to_90": _median_time(cpu_times) if n_cpu_times == n_reached_90 else None,
     }
 
 
 def _median_time(times: Sequence[float | None]) -> float | None:
-    """Return the time by which half of the seeds are there, of which some (None) never are."""
+    """Return the time by which half of the seeds reach 90 %; None stands for never."""
     known = sorted(time for time in times if time is not None)
     middle = (len(times) - 1) // 2
     return known[middle] if 0 <= middle < len(known) else None

@@ -25,7 +25,7 @@ LEVEL_VERDICTS = {
 def describe_findings(report: ReportData) -> Iterator[str]:
     """Yield the findings of a report, the most important first.
 
-    Where several factors are crossed, that is what each of them does.
+    If several factors are crossed, their effects come first.
     """
     if len(report.effects) > 1:
         yield from _describe_factors(report)
@@ -63,9 +63,9 @@ def _describe_best(rated: Sequence[CellSummary]) -> str:
 
 
 def _orient_pairs(report: ReportData, best: CellSummary) -> list[Pair]:
-    """Return the contrasts, else the pairs that begin or end with the reference or the best cell.
+    """Return the declared contrasts, or else the pairs with the reference or the best cell.
 
-    That cell is then the first of each.
+    In those pairs, that cell comes first.
     """
     if report.declared:
         return list(report.pairs)
@@ -80,7 +80,7 @@ def _orient_pairs(report: ReportData, best: CellSummary) -> list[Pair]:
 
 
 def _describe_pairs(pairs: Sequence[Pair], labels: Mapping[str, str]) -> Iterator[str]:
-    """Yield how each first cell of some pairs compares with the others, by verdict."""
+    """Yield a sentence for each first cell and verdict: how the cell compares with others."""
     for first in dict.fromkeys(pair.a for pair in pairs):
         for verdict, words in VERDICTS.items():
             same = [pair for pair in pairs if pair.a == first and pair.verdict == verdict]

@@ -33,7 +33,7 @@ VERDICTS: dict[Verdict, VerdictWords] = {
 def percent(share: float | None) -> str:
     """Write 0.944 as `94.4`, and 0.9997 as `99.97`.
 
-    A share that is not quite 0 or 1 is never written as that.
+    A share near 0 or 1 is never rounded to 0 or 100.
     """
     share = finite_or_none(share)
     if share is None:

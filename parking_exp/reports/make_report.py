@@ -46,7 +46,7 @@ class ReportSource(NamedTuple):
 
 
 def make_report(request: ReportRequest) -> None:
-    """Send the store what it lacks, write a report and any export, and print the findings."""
+    """Complete the store, write the report, export it if asked to, and print the findings."""
     export_folder = directory_path(request.export) if request.export else None
     if export_folder:
         refuse_foreign(export_folder)
@@ -69,7 +69,7 @@ def make_report(request: ReportRequest) -> None:
 
 
 def _read_source(request: ReportRequest, show: Callable[[str], None]) -> ReportSource:
-    """Return the content of the export or the store, which is first sent what it lacks."""
+    """Read the export or the store; the output directory's own store is completed first."""
     if request.source is not None:
         show("reading the export")
         return read_report_export(request.source)

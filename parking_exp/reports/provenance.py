@@ -26,18 +26,18 @@ def collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: 
         counts = _count_values(runs[column])
         if counts:
             versions[str(column).removeprefix(VERSION)] = counts
-    marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
+    dirty_marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
 
     configs = [with_defaults(cell.config) for cell in cells]
     difference = {key: [config.get(key) for config in configs] for key in differing_keys(configs)}
-    stored = cells[0].config
+    first_config = cells[0].config
     common = {}
-    for key, value in stored.items():
+    for key, value in first_config.items():
         if distinguishes_cells(key) and key not in difference:
             common[key] = value
     return Provenance(
         versions=versions,
-        commits=_count_values(runs["git_commit"].str[:SHORT_COMMIT] + marks),
+        commits=_count_values(runs["git_commit"].str[:SHORT_COMMIT] + dirty_marks),
         machines=_count_values(runs["cpu"]),
         difference=difference,
         common=common,

@@ -32,7 +32,7 @@ class Selection(NamedTuple):
     factors: list[Factor]
     baseline: str | None  # id of the cell
     contrasts: list[tuple[str, str]]  # ids of the cells
-    warnings: list[str]  # of contrasts that are left out
+    warnings: list[str]  # which contrasts are left out
 
 
 def build_report(
@@ -88,7 +88,7 @@ def build_report(
         shown=_choose_shown(summaries, selection),
         baseline=selection.baseline,
         family=family.sentence,
-        pairs=compare_pairs(family.couples),
+        pairs=compare_pairs(family.cell_pairs),
         effects=compare_levels(summaries, selection.factors),
         provenance=collect_provenance(selection.cells, left_out, results.uri),
         reference=family.reference,

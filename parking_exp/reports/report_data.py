@@ -100,9 +100,9 @@ class Pair:
     a: str  # ids of the cells
     b: str
     difference: Difference  # mean of a minus mean of b, corrected for the pairs of the report
-    rank_p: float | None  # of Mann and Whitney's test, corrected likewise
-    # `a` or `b` is better, `same`: neither test nor interval finds a difference, `unclear`: one of
-    # them does, `unknown`: too few seeds
+    rank_p: float | None  # p of Mann and Whitney's test, with the same correction
+    # `a` or `b`: this cell is better. `same`: neither test nor interval finds a difference.
+    # `unclear`: only one of them does. `unknown`: too few seeds.
     verdict: Verdict
 
     def reverse(self) -> "Pair":
@@ -140,7 +140,7 @@ class Provenance:
     difference: Mapping[str, Sequence[Setting]]  # config keys that differ -> value in each cell
     common: Mapping[str, Setting]  # the other config keys -> value
     unfinished: Sequence[UnfinishedRun]
-    uri: str  # of the store
+    uri: str  # the URI of the store
     left_out: Sequence[str] = ()  # labels of the experiments' other cells
     first: str | None = None  # start of the first run and end of the last one, as ISO 8601 in UTC
     last: str | None = None
@@ -153,12 +153,12 @@ class ReportData:
     title: str
     experiments: Sequence[str]
     made: str  # when, as ISO 8601 in UTC
-    version: str  # of this package
+    version: str  # the version of this package
     quick: bool  # whether it was made while runs may be under way
     command: str  # makes it again
     factors: Sequence[Factor]
     cells: Sequence[CellSummary]
-    tasks: Sequence[str]  # of the cells, by name
+    tasks: Sequence[str]  # names of the cells' tasks
     shown: Sequence[str]  # ids of the cells in figures: all or, of many, some
     baseline: str | None  # id of the cell that the user asked to compare with
     family: str  # a sentence: which pairs were compared, and how p was corrected
@@ -200,7 +200,7 @@ class ReportData:
 
     @property
     def drawn_pairs(self) -> Sequence[Pair]:
-        """The pairs that figures show: none where nobody has chosen them and they are many."""
+        """The pairs that figures show: many pairs only if declared or with a reference."""
         chosen = self.declared or self.reference is not None
         return self.pairs if chosen or len(self.pairs) <= MAX_DRAWN_PAIRS else ()
 

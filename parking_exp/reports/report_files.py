@@ -64,7 +64,7 @@ def to_csv(table: Table) -> str:
 
 
 def escape_formula(value: Any) -> Any:
-    """Keep spreadsheets from running a text as a formula: put an apostrophe before its start."""
+    """Put an apostrophe before a text that a spreadsheet would run as a formula."""
     if isinstance(value, str) and value.startswith(FORMULA_STARTS):
         return f"'{value}"
     return value

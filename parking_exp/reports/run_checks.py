@@ -36,12 +36,12 @@ def _leave_out_impossible(
     `problems` gets a sentence for each run and rate; `names` has the names of runs by their id.
     """
     kept = frame.copy()
-    # Keys of the config, such as `learning_rate`, are no metrics.
+    # Keys of the config, such as `learning_rate`, are not metrics.
     for column in frame.filter(regex=r"^(?!config\.).*_rate$"):
         is_impossible = (frame[column] < 0) | (frame[column] > 1)
         for run in frame[is_impossible].drop_duplicates("run_id").to_dict("records"):
             name = names[run["run_id"]]
-            problems.append(f"{name}: {column} {run[column]:g} is no rate, and is left out.")
+            problems.append(f"{name}: {column} {run[column]:g} is not a rate, and is left out.")
         kept.loc[is_impossible, column] = np.nan
     return kept
 

@@ -114,7 +114,7 @@ SECTIONS = (
 
 
 def sections_of(report: ReportData) -> list[Section]:
-    """Return the sections that a report may have: SECTIONS, and before the seeds its tasks'."""
+    """Return SECTIONS, with the sections of the report's tasks before the section `seeds`."""
     sections: list[Section] = []
     for section in SECTIONS:
         if section.id == "seeds":
@@ -154,7 +154,7 @@ class DrawnFigure:
 
 @dataclass(frozen=True)
 class SectionContent:
-    """What a section says of a report: what the page, LaTeX and CSV are written from."""
+    """The content of a section, from which the page, LaTeX and CSV are written."""
 
     id: str
     title: str
@@ -198,7 +198,7 @@ def section_contents(
 
 
 def _refuse_repeats(kind: str, names: Sequence[str]) -> None:
-    """Raise ConfigError for names that occur twice: files and links have them."""
+    """Raise ConfigError for repeated names, since files and links are named by them."""
     for name, count in Counter(names).items():
         if count > 1:
             raise ConfigError(f"report.sections: {count} {kind} have the name {name}; rename yours")

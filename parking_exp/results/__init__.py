@@ -81,9 +81,9 @@ gzipped CSV files, which `pandas.read_csv` reads as well, and a JSON file:
                      run id
     report.json      problems; the search, if there is one
 
-Left out are metrics that none of the runs has, such as other tasks' metrics; evaluation episodes
-during training; what `Results.episodes` has besides outcomes; paths; and everything that names a
-place on the machine. Numbers of runs have 12 significant digits, others 6.
+An export leaves out metrics that none of its runs has, evaluation episodes during training, all
+but the outcomes of `Results.episodes`, paths, and everything that names a place on the machine.
+Numbers of runs have 12 significant digits, others 6.
 """
 
 from parking_exp.results.frame_export import read_export, write_export

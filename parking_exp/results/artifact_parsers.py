@@ -131,5 +131,5 @@ def read_paths(table: bytes) -> pd.DataFrame:
         if name not in paths:
             raise ValueError(f"it has no column {name}")
     if not np.isfinite(paths).all(axis=None):
-        raise ValueError("it has rows that are no positions")
+        raise ValueError("some of its rows are not positions")
     return paths

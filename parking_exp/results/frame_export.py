@@ -115,7 +115,7 @@ def refuse_foreign(folder: Path) -> None:
 
 
 def without_paths(words: str) -> str:
-    """Return a text in which absolute paths are only their last part."""
+    """Return a text with absolute paths shortened to their last part."""
     return ABSOLUTE_PATH.sub(r"\1", words)
 
 
@@ -172,13 +172,12 @@ def _read_curves(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the final episodes; what the export does not have of them is missing."""
+    """Return the final episodes; columns that an export lacks have missing values."""
     table = pd.read_csv(path, dtype=str).astype({EPISODE_SEED: "int64"})
-    long = table.melt(EPISODE_SEED, var_name="run_id", value_name="outcome").dropna(
-        ignore_index=True
-    )
-    steps = long["run_id"].map(runs.set_index("run_id")["steps"])
-    frame = long.assign(step=steps, phase="final").astype({"run_id": run_category(runs["run_id"])})
-    frame = frame.dropna(subset="run_id")
-    frame = frame.astype(REQUIRED).sort_values(["run_id", EPISODE_SEED], ignore_index=True)
-    return frame.reindex(columns=["run_id", *EPISODES])
+    outcomes = table.melt(EPISODE_SEED, var_name="run_id", value_name="outcome")
+    episodes = outcomes.dropna(ignore_index=True)
+    steps = episodes["run_id"].map(runs.set_index("run_id")["steps"])
+    episodes = episodes.assign(step=steps, phase="final")
+    episodes = episodes.astype({"run_id": run_category(runs["run_id"])}).dropna(subset="run_id")
+    episodes = episodes.astype(REQUIRED).sort_values(["run_id", EPISODE_SEED], ignore_index=True)
+    return episodes.reindex(columns=["run_id", *EPISODES])

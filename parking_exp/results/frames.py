@@ -75,7 +75,7 @@ class Results:
     episodes: pd.DataFrame = field(repr=False)
     uri: str  # the store
     problems: tuple[str, ...] = ()  # a sentence for each thing that is missing or broken
-    about: Mapping[str, Any] = field(default_factory=dict)  # of an export: its report.json
+    about: Mapping[str, Any] = field(default_factory=dict)  # report.json of an export
     paths: pd.DataFrame = field(repr=False, default_factory=_no_paths)
 
 
@@ -248,15 +248,15 @@ def _make_episodes(tables: Mapping[str, pd.DataFrame], run_ids: pd.Series) -> pd
         for name, dtype in table.dtypes.items():
             columns.setdefault(str(name), dtype)  # metrics of users
 
-    none = pd.DataFrame(columns=["run_id", *columns]).astype(columns)
+    empty = pd.DataFrame(columns=["run_id", *columns]).astype(columns)
     types = {"run_id": run_category(run_ids), **CATEGORIES}
-    return _concatenate(tables, none).astype(types)
+    return _concatenate(tables, empty).astype(types)
 
 
-def _concatenate(tables: Mapping[str, pd.DataFrame], none: pd.DataFrame) -> pd.DataFrame:
-    """Return the tables of runs, by run id, as one; without any, it is `none`."""
+def _concatenate(tables: Mapping[str, pd.DataFrame], empty: pd.DataFrame) -> pd.DataFrame:
+    """Concatenate the tables of runs, given by run id; return `empty` if there are no tables."""
     parts = [table.assign(run_id=run_id) for run_id, table in tables.items()]
-    return pd.concat([none, *parts], ignore_index=True)
+    return pd.concat([empty, *parts], ignore_index=True)
 
 
 def run_category(run_ids: pd.Series) -> pd.CategoricalDtype:
@@ -275,7 +275,8 @@ def _read_files(
 ) -> dict[str, Any]:
     """Return the parsed artifact of each run that has it, by run id.
 
-    `problems` gets a sentence for each one that is damaged, or missing unless it is optional.
+    `problems` gets a sentence for each damaged artifact and, unless `optional`, for each artifact
+    that a finished run lacks.
     """
 
     def read(run: Mapping[Any, Any]) -> tuple[Any, str | None]:
@@ -305,7 +306,7 @@ def _read_files(
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
-    """Yield a sentence for each run that is there again, e.g. of directories that share a store."""
+    """Yield a sentence for each further run of a cell and seed, e.g. from another directory."""
     repeated = runs[runs.duplicated(["experiment", "cell", "seed"])]
     for run in repeated.to_dict("records"):
         seed_of_cell = f"{run['experiment']}, {run['cell']}, seed {run['seed']}"

@@ -1,4 +1,4 @@
-"""Atomic writes of files, and reads of JSON and YAML, which may come from others."""
+"""Write files atomically, and read JSON and YAML files that other people may have made."""
 
 import errno
 import gzip
@@ -21,8 +21,8 @@ from parking_exp.errors import first_line
 
 MAX_SMALL = 2**20  # bytes of a YAML file, which is parsed slowly
 MAX_JSON = 2**26
-MAX_DEPTH = 100  # of nested YAML: the C parser calls itself at each level
-MAX_LARGE = 2**31  # of a log, a model or a video
+MAX_DEPTH = 100  # levels of YAML: the C parser calls itself at each
+MAX_LARGE = 2**31  # for a log, a model or a video
 # PyYAML's parser in C takes a tenth of the time; PyYAML may have been built without it.
 _YamlLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 HOST = re.sub(r"[^A-Za-z0-9]", "", socket.gethostname())
@@ -30,10 +30,10 @@ HOST = re.sub(r"[^A-Za-z0-9]", "", socket.gethostname())
 
 @contextmanager
 def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
-    """Yield a path to write to; at the end of the block that file replaces `path`.
+    """Yield a temporary path to write to, which replaces `path` at the end of the block.
 
-    After a kill, an error or on a full disk, the file has the old or the new content; after a power
-    cut, if `durable`.
+    A kill, an error or a full disk leaves either the old or the new content. With `durable`, so
+    does a power cut.
     """
     _remove_leftovers(path.parent)
     # Two processes, of different machines even, may write at once; the last one wins.
@@ -61,7 +61,7 @@ def _is_alive(pid: int) -> bool:
         os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):
         return False
-    except PermissionError:  # of another user
+    except PermissionError:  # the process belongs to another user
         return True
     return True
 
@@ -94,10 +94,10 @@ def read_json(path: Path) -> Any:
 
 
 def parse_plain_yaml(content: bytes) -> Any:
-    """Return what YAML describes.
+    """Parse YAML that has only values of JSON.
 
     Raises:
-        ValueError: it is large, damaged, or has what JSON lacks, such as aliases.
+        ValueError: it is too large or damaged, or has other values or aliases.
     """
     if len(content) > MAX_SMALL:
         raise ValueError(f"it has more than {MAX_SMALL:,} bytes")
@@ -109,7 +109,7 @@ def parse_plain_yaml(content: bytes) -> Any:
 
 
 def _refuse_unusual_yaml(content: bytes) -> None:
-    """Raise YAMLError for deep nesting, and for aliases, by which a few lines fill the memory."""
+    """Raise YAMLError for deep nesting, and for aliases: with them, a few lines fill the memory."""
     depth = 0
     for event in yaml.parse(content, _YamlLoader):
         if isinstance(event, yaml.AliasEvent):

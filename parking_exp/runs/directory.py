@@ -5,9 +5,9 @@
         monitor.csv  progress.csv  provenance.json  checkpoints/  models/  evaluations/
         exports/  tensorboard/  video.mp4  curves.png  log.txt  beat.json  traceback.txt
 
-The run directory is the truth; the store is a copy. Two locks keep processes apart: `.claim` is
-held by the process that is responsible for the run (its supervisor, or the one that trains it
-without any), `.lock` by the one that trains.
+The run directory is the source of truth; the store is a copy. Two locks keep processes apart. The
+process that is responsible for the run holds `.claim`: its supervisor, or the training process if
+there is no supervisor. The process that trains holds `.lock`.
 """
 
 import os
@@ -52,8 +52,7 @@ STATUS_LOCK = ".status.lock"
 SYNC_LOCK = ".sync.lock"
 LOCK_PATIENCE_S = 2.0  # another process takes a lock for a moment to see whether it is held
 WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon after it
-# Space that a run keeps while it trains, so that its end can be written on a disk that is full by
-# then.
+# A run reserves disk space while it trains, so that it can record its end on a full disk.
 RESERVE = ".reserve"
 RESERVE_BYTES = 64 * 1024
 ENDS = ("done", "failed", "interrupted")
@@ -64,7 +63,7 @@ class RunResult:
     """The result of a finished run."""
 
     run_dir: str  # absolute
-    run_id: str | None  # of MLflow; None without it
+    run_id: str | None  # MLflow's; None without it
     steps: int  # env steps trained
     metrics: dict[str, float]  # last value of every metric, `final/success_rate` among them
 
@@ -90,7 +89,7 @@ class RunDirectory:
     @property
     def is_status_damaged(self) -> bool:
         """Whether status.json can't be read."""
-        return read_entries(self.path / STATUS_FILE, StatusEntries)[1]
+        return read_entries(self.path / STATUS_FILE, StatusEntries) is None
 
     @property
     def run_id(self) -> str | None:
@@ -109,9 +108,9 @@ class RunDirectory:
         return is_held(self.path / SUPERVISOR_LOCK) or is_held(self.path / TRAINING_LOCK)
 
     def update_status(self, *, durable: bool = True, **values: Any) -> None:
-        """Change entries of `status.json`; None removes one.
+        """Change entries of `status.json`; the value None removes an entry.
 
-        The URI of a store is made relative. A run that has ended needs its reserved space no more.
+        A store URI is made relative. A status that ends the run also frees its reserved space.
         """
         uri = values.get("tracking_uri")
         if uri is not None:
@@ -145,7 +144,7 @@ class RunDirectory:
         self.update_status(status="done", steps=steps, **values)
 
     def needs_evaluation(self, config: RunConfig) -> bool:
-        """Return whether a finished run was evaluated with other settings than a config has."""
+        """Return whether a finished run was evaluated with settings other than a config's."""
         entries = self.read_status()
         has_these_settings = entries.evaluation in (None, config.final_settings)
         return entries.status == "done" and not has_these_settings
@@ -166,8 +165,8 @@ class RunDirectory:
 
     def reopen(self) -> None:
         """Make a finished run pending. It is evaluated again when it is trained next."""
-        # Without a start time the store takes it for a new run. This comes before the status: a run
-        # whose reopening was killed is still finished, and is reopened again.
+        # Without a start time the store takes it for a new run. The status changes last: after a
+        # kill the run is still finished, and the next command reopens it.
         (self.path / PROVENANCE_FILE).unlink(missing_ok=True)
         (self.path / VIDEO_FILE).unlink(missing_ok=True)
         self.update_status(status="pending")
@@ -183,7 +182,7 @@ class RunDirectory:
             write_config(self.path, config)
 
     def reserve(self) -> None:
-        """Occupy the space in which the run's end can be written, until that is done."""
+        """Reserve disk space for recording the run's end, until the run has ended."""
         with self._writable():
             (self.path / RESERVE).write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
 
@@ -251,5 +250,5 @@ class RunDirectory:
             ) from error
 
     def read_status(self) -> StatusEntries:
-        """Return the entries of status.json, none if it is missing or damaged."""
-        return read_entries(self.path / STATUS_FILE, StatusEntries)[0]
+        """Return the entries of status.json; all are None if it is missing or damaged."""
+        return read_entries(self.path / STATUS_FILE, StatusEntries) or StatusEntries()

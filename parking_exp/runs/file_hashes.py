@@ -51,7 +51,7 @@ def has_hashes(run_dir: Path) -> bool:
 def changed_files(run_dir: Path) -> list[str]:
     """Return the names of files that have changed since they were finished.
 
-    Files that were deleted have not.
+    Deleted files are not among them.
     """
     changed = []
     for folder in find_evaluations(run_dir):
@@ -60,7 +60,7 @@ def changed_files(run_dir: Path) -> list[str]:
             changed += _find_changed(evaluation_files(folder), summary)
         else:
             changed.append(summary)
-    entries, _ = read_entries(run_dir / STATUS_FILE, StatusEntries)
+    entries = read_entries(run_dir / STATUS_FILE, StatusEntries) or StatusEntries()
     if entries.status == "done":
         changed += _find_changed(_finished_files(run_dir), run_dir / RESULT_FILE)
     return [str(file.relative_to(run_dir)) for file in changed]
@@ -79,7 +79,7 @@ def _finished_files(run_dir: Path) -> list[Path]:
 
 
 def _find_changed(files: Iterable[Path], record: Path) -> list[Path]:
-    """Return the files that do not have the hashes of a record in their folder, if it has any."""
+    """Return the files whose hashes differ from a record; none if the record has no hashes."""
     hashes = read_object(record).get(HASHES)
     if not isinstance(hashes, dict):
         return []

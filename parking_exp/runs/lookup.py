@@ -24,9 +24,9 @@ def find_runs_below(folder: Path) -> list[Path]:
 
 
 def _distinct(folder: Path, *patterns: str) -> list[Path]:
-    """Return the run directories that match, sorted.
+    """Return the run directories that match any of the patterns, sorted.
 
-    One that links reach as well occurs once, without the link.
+    A directory that links also reach is listed once, by its own path.
     """
     real_folder = resolved(folder)
     by_place: dict[Path, Path] = {}
@@ -51,10 +51,10 @@ def find_run(
 
     Args:
         name: the name of the run.
-        output_dir: where it is looked for.
-        required_file: a file of runs; `latest` is the one whose file was written last.
-        other_names: other valid names, one at least, for suggestions.
-        key: the key of the config that has the name, for messages.
+        output_dir: the output directory to search.
+        required_file: a file of runs; `latest` is the run whose file was written last.
+        other_names: at least one other valid name, for suggestions.
+        key: the config key that names the run, for messages.
 
     Raises:
         RunNotFoundError: no run matches; the message suggests the closest valid name.

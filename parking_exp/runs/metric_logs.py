@@ -48,8 +48,8 @@ def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
 class MetricsLog:
     """`metrics.jsonl`: one line {"step", "time_ms", "metrics"} for each row of metrics.
 
-    A key has one value per step, the first; Stable-Baselines3 logs twice if two episodes end in the
-    same step.
+    Only the first value of a key at a step is kept: Stable-Baselines3 logs twice if two episodes
+    end in the same step.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,7 +59,7 @@ class MetricsLog:
             self._last_step |= dict.fromkeys(record["metrics"], record["step"])
 
     def append(self, step: int, values: Mapping[str, Any]) -> dict[str, float]:
-        """Append a row of the numbers among `values`, unless there are none, and return it."""
+        """Append the numbers among `values` as a row, if there are any, and return the row."""
         metrics = {}
         for key, value in values.items():
             if isinstance(value, numbers.Real) and self._last_step.get(key, -1) < step:

@@ -15,10 +15,10 @@ ID = re.compile(r"[0-9a-f]{32}")
 
 
 def output_id(output_dir: Path) -> str:
-    """Return the id of an output directory, which is drawn at the first call.
+    """Return the id of an output directory; the first call draws it.
 
-    It moves and is copied with the directory. A path does not identify a directory: containers
-    have the same one on each machine.
+    The id is moved and copied with the directory. The path can't identify the directory: in
+    containers it is the same on each machine.
 
     Raises:
         OutputDirectoryError: the file of the id is damaged.

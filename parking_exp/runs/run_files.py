@@ -27,7 +27,7 @@ RESULT_FILE = "result.json"
 HEARTBEAT_FILE = "beat.json"
 TRACEBACK_FILE = "traceback.txt"
 EVALUATIONS = "evaluations"
-SUMMARY_FILE = "summary.json"  # of an evaluation
+SUMMARY_FILE = "summary.json"  # in the folder of an evaluation
 PATHS_FILE = "paths.csv.gz"
 CURVES_FILE = "curves.png"
 VIDEO_FILE = "video.mp4"
@@ -97,14 +97,13 @@ class HeartbeatEntries(_Entries):
     doing: str | None = None
 
 
-def read_entries(path: Path, schema: type[Entries]) -> tuple[Entries, bool]:
-    """Return the entries of a file, none if it is missing or damaged, and whether it is damaged."""
+def read_entries(path: Path, schema: type[Entries]) -> Entries | None:
+    """Return the entries of a file: the defaults if it is missing, None if it is damaged."""
     try:
         stored = read_json(path)
-        entries = schema() if stored is None else schema.model_validate(stored)
+        return schema() if stored is None else schema.model_validate(stored)
     except (OSError, ValueError):
-        return schema(), True
-    return entries, False
+        return None
 
 
 def write_config(directory: Path, config: RunConfig) -> None:

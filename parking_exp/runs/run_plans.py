@@ -1,4 +1,4 @@
-"""Planned runs: what a command writes of runs before it begins them."""
+"""Planned runs: the files that a command writes before the runs begin."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,7 +40,7 @@ def write_plan(
         directory: the run's directory.
         config: the run's config.
         label: the label of its cell in this plan.
-        started: when the run was begun last, as the plan has read it.
+        started: the run's last start when the plan was made; None if it had not begun.
         entries: other entries of status.json.
     """
     if directory.is_locked:
@@ -54,10 +54,10 @@ def write_plan(
 
 
 def make_pending(directory: RunDirectory, config: RunConfig, label: str, **entries: Any) -> None:
-    """Write the files of a pending run whose supervisor lock is held, or reopen a finished one.
+    """Write the files of a pending run, and reopen a finished run that needs another evaluation.
 
-    There is no fsync: after a power cut, rerunning the command writes the files again. For the
-    arguments see `write_plan`.
+    The caller holds the supervisor lock. There is no fsync: after a power cut, the same command
+    writes the files again. For the arguments see `write_plan`.
     """
     if directory.needs_evaluation(config):
         directory.reopen()

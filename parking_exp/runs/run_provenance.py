@@ -40,7 +40,7 @@ def provenance_tags() -> dict[str, str]:
 
 
 def record_provenance(run_dir: Path) -> None:
-    """Write when a run was first started, and what trains it now, into its directory."""
+    """Write a run's first start time, and the software and machine that train it now."""
     path = run_dir / PROVENANCE_FILE
     started_ms = read_object(path).get(STARTED) or time.time_ns() // 1_000_000
     write_json(path, {STARTED: started_ms, "tags": provenance_tags()})

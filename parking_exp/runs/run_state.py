@@ -19,7 +19,7 @@ from parking_exp.runs.run_files import (
 
 Stage = Literal["done", "running", "failed", "pending"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
-# In sentences, what runs that are not done are.
+# How sentences describe runs that are not done.
 STAGE_WORDS: Mapping[Stage, str] = {
     "running": "under way",
     "failed": "failed",
@@ -59,7 +59,7 @@ class RunState(StatusEntries):
     damaged: bool = False  # whether its status.json can't be read
 
     def plain(self) -> dict[str, Any]:
-        """Return the entries of public interest as JSON can hold them."""
+        """Return the entries that `status.py` shows, as JSON values."""
         return self.model_dump(exclude={*NOT_SHOWN})
 
 
@@ -68,7 +68,8 @@ def read_state(path: Path) -> RunState:
 
     Without a directory, or with a damaged status.json, it is pending.
     """
-    entries, damaged = read_entries(path / STATUS_FILE, StatusEntries)
+    stored = read_entries(path / STATUS_FILE, StatusEntries)
+    entries = stored or StatusEntries()
     seed = path.name.removeprefix("seed=")
     fields: dict[str, Any] = {
         "label": path.parent.name,
@@ -78,7 +79,7 @@ def read_state(path: Path) -> RunState:
         "cell": path.parent.name,
         "seed": int(seed) if seed.isdecimal() else -1,
         "stage": "pending",
-        "damaged": damaged,
+        "damaged": stored is None,
     }
     if entries.status == "done":
         fields |= {"stage": "done", "step": entries.steps or 0}
@@ -92,9 +93,9 @@ def read_state(path: Path) -> RunState:
 
 
 def in_plan_order(states: Iterable[RunState]) -> list[RunState]:
-    """Return runs by experiment, in the order of the plan that made them, with distinct labels.
+    """Sort runs by experiment and by the order of their plan, and make labels distinct.
 
-    Cells of several plans may have the same label; these labels get the keys of their cells.
+    Cells of several plans may have the same label. The key of the cell is then added to it.
     """
     in_order = sorted(states, key=_place)
     cells = {(state.experiment, state.label, state.cell) for state in in_order}
@@ -111,9 +112,9 @@ def in_plan_order(states: Iterable[RunState]) -> list[RunState]:
 
 
 def _place(state: RunState) -> tuple[str, int, str, int]:
-    """Return the key by which runs are sorted: by the number of their trial or of their cell."""
+    """Return the sort key of a run: its experiment, then the number of its trial or cell."""
     number = state.cell_number if state.trial is None else state.trial
-    if number is None:  # of no plan
+    if number is None:  # it belongs to no plan
         number = sys.maxsize
     return state.experiment, number, state.cell, state.seed
 
@@ -139,9 +140,9 @@ def by_cell(states: Iterable[RunState]) -> dict[tuple[str, str], list[RunState]]
 
 def _read_running(path: Path, entries: StatusEntries) -> dict[str, Any]:
     """Return the fields of a running run from its heartbeat."""
-    beat, _ = read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)
+    beat = read_entries(path / HEARTBEAT_FILE, HeartbeatEntries) or HeartbeatEntries()
     started = time.time() if entries.started is None else entries.started
-    if beat.time < started:  # of an earlier process, or none yet
+    if beat.time < started:  # an earlier process wrote it, or there is none yet
         return {"step": saved_step(path / CHECKPOINTS), "doing": "starting"}
     left_s = None
     if beat.steps_per_s > 1e-3 and entries.total_timesteps is not None:

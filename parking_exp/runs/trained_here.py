@@ -1,8 +1,8 @@
-"""The record of runs that this user trained on this machine, whose classes are trusted.
+"""The record of runs that this user trained on this machine. Their classes are trusted.
 
-It lies in the user's state directory, and not in run directories: these may come from others. An
-entry is a hash of a run's real path and its config, so that neither a copy elsewhere nor another
-config is taken for the run.
+The record is in the user's state directory, since run directories may come from other people. An
+entry is a hash of a run's real path and its config. So a copy elsewhere is not trusted, and neither
+is a changed config.
 """
 
 import hashlib

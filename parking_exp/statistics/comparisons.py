@@ -32,15 +32,16 @@ class Difference(Interval):
 def compare(
     pairs: Sequence[tuple[Cells, Cells]], alpha: float = 0.05, n_pairs: int = 0
 ) -> list[Difference]:
-    """Return the difference of each pair of a family: the mean of some cells' means minus others'.
+    """Return the difference between the means of both sides, for each pair of a family.
 
-    The cells of a pair are matched by their place, and seeds are permuted within matched cells.
-    Bonferroni's correction is for the pairs that have a p, and makes their intervals simultaneous.
+    The mean of a side is the mean of its cells' means. Cells are matched by position, and seeds are
+    permuted within matched cells. Bonferroni's correction counts the pairs that have a p. It also
+    makes their intervals simultaneous.
 
     Args:
-        pairs: of each comparison, the cells of both sides.
+        pairs: the cells of both sides of each pair.
         alpha: the intervals of the family hold together at the level 1 - alpha.
-        n_pairs: the number of pairs of a larger family; 0: as many as have a p.
+        n_pairs: the number of pairs if the family is larger; 0: count the pairs that have a p.
     """
     p_values = [_test(a, b) for a, b in pairs]
     family_size = max(1, n_pairs, sum(p is not None for p in p_values))
@@ -65,11 +66,11 @@ def _test(a: Cells, b: Cells) -> float | None:
 
 
 def contrast(plus: Cells, minus: Cells = (), alpha: float = 0.05) -> Interval:
-    """Return the mean of some cells' means, less the mean of others' if there are any.
+    """Return the mean of the means of `plus`, minus the mean of the means of `minus` if given.
 
-    Its interval, at the level 1 - alpha, is made of the cells' intervals: the distances of their
-    ends from their means are added in squares (Zou & Donner 2008). A cell with a single seed leaves
-    it without an interval.
+    Its interval, at the level 1 - alpha, combines the intervals of the cells. The distances of
+    their ends from their means are added in squares (Zou & Donner 2008). There is no interval if
+    a cell has a single seed.
     """
     value, below, above = _average(plus, alpha)
     n = _count_seeds(plus)

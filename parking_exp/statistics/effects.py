@@ -51,11 +51,11 @@ class MainEffect:
 def main_effects(
     factors: Sequence[str], cells: Sequence[tuple[Sequence[Any], SeedRates]]
 ) -> list[MainEffect]:
-    """Return the mean of cell means for every level of every factor that has more than one.
+    """Return the main effect of every factor with more than one level.
 
-    Cells, (level of each factor, rates), have equal weights. Intervals and p come from
-    `compare`; seeds are permuted between cells that have the same levels of the other factors.
-    There is no p where combinations are missing. Levels are in order, numbers before texts.
+    A cell is (level of each factor, rates). All cells have equal weights. Intervals and p come
+    from `compare`, which permutes seeds between cells with the same levels of the other factors.
+    There is no p if combinations are missing. Levels are sorted, numbers before texts.
     """
     by_factor = [_group_by_level(cells, number) for number in range(len(factors))]
     n_combinations = math.prod(len(levels) for levels in by_factor)

@@ -10,7 +10,7 @@ class Interval:
     Attributes:
         value: e.g. the mean over seeds; None without data.
         low, high: None where the data allow for no interval, e.g. over one seed.
-        n: seeds behind it; behind a difference, the seeds of the side that has fewer.
+        n: number of seeds; for a difference, of the side with fewer seeds.
     """
 
     value: float | None
@@ -20,5 +20,5 @@ class Interval:
 
     @property
     def excludes_0(self) -> bool:
-        """Whether 0 lies outside, of an interval that has ends."""
+        """Whether the interval has ends and 0 lies outside."""
         return self.low is not None and self.high is not None and not self.low <= 0 <= self.high

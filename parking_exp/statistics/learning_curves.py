@@ -13,13 +13,13 @@ def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
     The area consists of trapezoids between evaluations. It is divided by the range they cover. NaN
     values are dropped. A single evaluation is its own area.
     """
-    value = np.asarray(values, dtype=float)
-    known = ~np.isnan(value)
-    value = value[known]
-    at = np.asarray(steps)[known]
-    if len(at) == 1:
-        return float(value[0])
-    return float(np.trapezoid(value, at) / (at[-1] - at[0]))
+    all_values = np.asarray(values, dtype=float)
+    known = ~np.isnan(all_values)
+    known_values = all_values[known]
+    known_steps = np.asarray(steps)[known]
+    if len(known_steps) == 1:
+        return float(known_values[0])
+    return float(np.trapezoid(known_values, known_steps) / (known_steps[-1] - known_steps[0]))
 
 
 def steps_to(

@@ -1,9 +1,9 @@
 """Means of rates over training seeds, with intervals that use both levels: seeds and episodes.
 
-What a recipe's next seed will do is what one of the trained seeds did, or something that none of
-them showed. So the mean of all possible seeds is a weighted mean of the rates of n seeds and of one
-unseen seed. The weights have a Dirichlet distribution, with parameters (n - 2) / n for each seed,
-and UNSEEN for the unseen one. This is Rubin's Bayesian bootstrap (1981) with fewer seeds than there
+The next seed of a recipe will behave like one of the trained seeds, or like none of them. So the
+mean of all possible seeds is a weighted mean of the rates of n seeds and of one unseen seed. The
+weights have a Dirichlet distribution. Its parameters are (n - 2) / n for each seed, and UNSEEN for
+the unseen one. This is Rubin's Bayesian bootstrap (1981), but it counts fewer seeds than there
 are, in place of Student's quantile.
 
 For the lower end, the unseen seed lies below the worst seed by the smaller of
@@ -14,7 +14,7 @@ For the lower end, the unseen seed lies below the worst seed by the smaller of
 The upper end is the same seen from 0 % (Walley 1996: an interval of priors).
 
 Every end is at least as far out as the end of Clopper and Pearson's (1934) interval of all episodes
-together, since seeds that agree are still measured in so many episodes only.
+together, because seeds that agree were still measured over a limited number of episodes.
 
 Nothing is random. `tests/support/coverage_simulation.py` simulates how often intervals cover.
 """
@@ -42,7 +42,7 @@ class SeedRates:
 
     Attributes:
         rates: one of each seed.
-        n_episodes: over how many episodes each rate was measured; None where it is no share of
+        n_episodes: over how many episodes each rate was measured; None where it is not a share of
             episodes.
     """
 

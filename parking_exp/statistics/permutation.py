@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-MAX_EPISODES = 10_000  # of a rate
+MAX_EPISODES = 10_000  # behind a rate
 MAX_RATE_STEPS = 10**9  # keeps sums within 64 bits where seeds have different numbers of episodes
 RATE_STEPS = 20_000  # other rates are rounded to 0.005 points
-MAX_SUMMED_STEPS = 2_000_000  # of all strata: a sum of 20 strata then takes seconds
-MAX_COUNTS = 20_000_000  # of sums: with more, rates are rounded further, to fit into memory
+MAX_SUMMED_STEPS = 2_000_000  # in all strata: a sum of 20 strata then takes seconds
+MAX_COUNTS = 20_000_000  # with more sums, rates are rounded further, to fit into memory
 
 
 class _Assignments(NamedTuple):
@@ -33,13 +33,14 @@ class _Assignments(NamedTuple):
 def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     """Return the two-sided p of the difference of two means, summed over strata (Fisher 1935).
 
-    It is the share of all assignments of the seeds of each stratum to its two cells in which the
-    difference is at least as far from 0. Whatever the distribution of the seeds, equal cells have a
-    p of at most x with a probability of at most x. Swapping the cells does not change it.
+    The seeds of each stratum are assigned to its two cells in all ways. p is the share of the
+    assignments whose difference is at least as far from 0 as the observed one. If the cells are
+    equal, p is at most x with a probability of at most x, whatever the distribution of the seeds.
+    Swapping the cells does not change p.
 
-    A single stratum is exact where rates are shares of at most MAX_EPISODES episodes, unless sums
-    have to be rounded to fit into memory. Several strata are exact where their number, times that
-    of episodes, times the least common multiple of the cells' sizes, is at most MAX_SUMMED_STEPS.
+    With one stratum, p is exact if rates are shares of at most MAX_EPISODES episodes and all sums
+    fit into memory. With several, it is exact if the number of strata, times the number of
+    episodes, times the least common multiple of the cells' sizes is at most MAX_SUMMED_STEPS.
 
     Args:
         strata: pairs of rates in 0 ... 1, shapes (n_a,) and (n_b,).
@@ -60,7 +61,7 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
 
 
 def _choose_rate_steps(rates: np.ndarray) -> int:
-    """Return the smallest number of which all rates are whole parts, else RATE_STEPS.
+    """Return the smallest n for which all rates are multiples of 1 / n, else RATE_STEPS.
 
     Equal sums have to stay equal. With 300 episodes, rates that were rounded would break ties.
     """
@@ -96,9 +97,9 @@ def _assign(a: ArrayLike, b: ArrayLike, rate_steps: int) -> _Assignments:
 
 
 def _add(assignments: list[_Assignments], units: list[int], n_steps: int) -> _Assignments:
-    """Add the differences of strata, of which a difference of 1 has so many `units`.
+    """Add the differences of strata, rounded to 1 / n_steps.
 
-    They are rounded to 1 / n_steps.
+    `units` says how many units of each stratum make a difference of 1.
     """
     from scipy.signal import fftconvolve
 

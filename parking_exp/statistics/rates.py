@@ -29,9 +29,9 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def interquartile_mean(values: ArrayLike) -> float:
-    """Return the mean of seeds without the quarter at each end, rounded down to whole seeds.
+    """Return the mean without the lowest and the highest quarter of seeds.
 
-    `values` has the shape (seeds,).
+    A quarter is rounded down to whole seeds. `values` has the shape (seeds,).
     """
     from scipy import stats
 

@@ -68,7 +68,7 @@ def make_launcher(
 
 
 def _plain_launcher(launcher_class: Any, settings: Mapping[str, Any]) -> Launcher:
-    """Return a launcher of this package, or of a user's, that is no plugin of Hydra."""
+    """Return a launcher of this package, or of a user's, that is not a plugin of Hydra."""
     arguments = dict(settings)
     del arguments["_target_"]
     return launcher_class(**arguments)
@@ -91,7 +91,7 @@ def _plugin_launcher(
 
 def _connect_to_ray(settings: Mapping[str, Any]) -> None:
     """Connect to the running cluster; the plugin uses this connection."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # of a cluster that `init` starts
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # where `init` starts a cluster
     import ray
 
     try:

@@ -15,7 +15,7 @@ from parking_exp.terminal import say
 from parking_exp.training.signals import StopRequest, stop_on_signal
 
 Train = Callable[[Path], WorkerResult]
-"""Trains the run of a directory, and returns how it ended; `stopped` after a signal."""
+"""Trains the run of a directory, and returns how it ended; `interrupted` after a signal."""
 
 
 class LocalLauncher:
@@ -57,7 +57,7 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
     Raises:
         InterruptedRunError: a signal stopped it.
     """
-    # Workers die with their supervisor.
+    # `os._exit` leaves no worker behind, since workers die with their supervisor.
     with (
         stop_on_signal(lambda number, _: os._exit(128 + number)) as stop,
         ThreadPoolExecutor(n_workers) as pool,
@@ -77,5 +77,5 @@ def _train_on(
 ) -> WorkerResult:
     """Train the run of a directory on the cores and the device of one worker."""
     if stop.is_made:
-        return "stopped"
+        return "interrupted"
     return supervise(path, stop, own_cores, device, LOCAL_START_METHOD)

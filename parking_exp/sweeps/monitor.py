@@ -1,4 +1,4 @@
-"""Live view of runs from their directories: lines for events; on a terminal, one for each run."""
+"""Show runs live: a line for each event and, on a terminal, a line for each running run."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -19,18 +19,21 @@ class Monitor:
     """Context manager that reads the states of runs every second, and shows what changes.
 
     Args:
-        find: returns the run directories that exist now.
+        find_run_dirs: returns the run directories that exist now.
         n_runs: how many there will be at most.
         console: None: the standard error stream.
     """
 
     def __init__(
-        self, find: Callable[[], Sequence[Path]], n_runs: int, console: Console | None = None
+        self,
+        find_run_dirs: Callable[[], Sequence[Path]],
+        n_runs: int,
+        console: Console | None = None,
     ) -> None:
-        self._find = find
+        self._find_run_dirs = find_run_dirs
         self._n_runs = n_runs
         self._console = console or make_console(stderr=True)
-        self._states = {path: read_state(path) for path in find()}
+        self._states = {path: read_state(path) for path in find_run_dirs()}
         self._live = Live(
             get_renderable=self._render, console=self._console, refresh_per_second=1, transient=True
         )
@@ -59,7 +62,7 @@ class Monitor:
 
     def _look(self) -> None:
         """Read the states that may have changed, and print a line for each change of stage."""
-        for path in self._find():
+        for path in self._find_run_dirs():
             before = self._states.get(path)
             if before and before.stage == "done":
                 continue

@@ -1,26 +1,25 @@
 """Train a single run in this process, which also writes its store."""
 
-import shlex
 from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
 
+from parking_exp.algorithms.torch_settings import check_device
 from parking_exp.config.cell_labels import label_cells
-from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.settings import flatten_config
 from parking_exp.config.validate import validate
 from parking_exp.evaluation.init_sources import pin_source
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.run_plans import make_pending
-from parking_exp.terminal import is_script, say, unfailing_output
+from parking_exp.terminal import say, unfailing_output
 from parking_exp.tracking.store_writer import StoreWriter
 from parking_exp.tracking.sync import adopt_store
+from parking_exp.tracking.ui_addresses import ui_command
 from parking_exp.training.signals import stop_on_signal
-from parking_exp.training.train_run import check_device, train_run
+from parking_exp.training.train_run import train_run
 from parking_exp.training.warm_start import check_sources
 
 
@@ -101,14 +100,3 @@ def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   ({ui_command(uri)})")
     return lines
-
-
-def ui_command(uri: str) -> str:
-    """Return the command that shows a store in MLflow's UI; a tracking server is its own."""
-    if not uri.startswith("sqlite"):
-        return uri
-    if not is_script():
-        return f"mlflow ui --workers 1 --backend-store-uri {shlex.quote(uri)}"
-    if uri == default_uri(Path("outputs").absolute()):
-        return "make ui"
-    return f"make ui STORE={shlex.quote(uri)}"

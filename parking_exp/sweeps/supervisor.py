@@ -23,10 +23,12 @@ POLL_S = 0.05
 # Signals from outside; any other signal is an error of the run.
 KILLS = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
-WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
-"""How a run ended: done; failed, with the reason in status.json; stopped, on request; elsewhere: in
-another process.
+WorkerResult = Literal["done", "failed", "interrupted", "elsewhere"]
+"""How a run ended: done; failed, with the reason in status.json; interrupted, on request;
+elsewhere: in another process.
 """
+Cause = Literal["late", "interrupted"]
+"""Why a supervisor ends a worker."""
 
 
 def supervise(
@@ -70,7 +72,7 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: StopRequest) -> 
     except (ConfigError, OutputDirectoryError) as error:
         directory.update_status(status="failed", error=str(error))
         return "failed"
-    # Before the worker starts, whose entries must not be overwritten.
+    # Begin before the worker starts; later, this would overwrite the worker's entries.
     directory.begin()
     process.start()
     try:
@@ -84,31 +86,32 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: StopRequest) -> 
     return _record_end(directory, exit_status, cause, config.timeout_s)
 
 
-def _wait(
-    process: WorkerProcess, timeout_s: float | None, stop: StopRequest
-) -> Literal["late", "stopped"] | None:
-    """Wait for a worker; end it if it is too slow or is to stop; return which of these it was."""
-    cause: Literal["late", "stopped"] | None = None
+def _wait(process: WorkerProcess, timeout_s: float | None, stop: StopRequest) -> Cause | None:
+    """Wait until a worker has ended, or end it if it is late or asked to stop; return why."""
     deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
     while process.exit_status is None:
         time.sleep(POLL_S)
-        now = time.monotonic()
-        if cause is not None:
-            if now > deadline:
-                process.kill()
-            continue
-        if now > deadline:
-            cause = "late"
-        elif stop.is_made:
-            cause = "stopped"
-        if cause is not None:
-            process.terminate()
-            deadline = now + GRACE_S
-    return cause
+        if time.monotonic() > deadline:
+            _stop_worker(process)
+            return "late"
+        if stop.is_made:
+            _stop_worker(process)
+            return "interrupted"
+    return None
+
+
+def _stop_worker(process: WorkerProcess) -> None:
+    """Ask a worker to stop, and kill it if it has not after GRACE_S."""
+    process.terminate()
+    deadline = time.monotonic() + GRACE_S
+    while process.exit_status is None:
+        time.sleep(POLL_S)
+        if time.monotonic() > deadline:
+            process.kill()
 
 
 def _record_end(
-    directory: RunDirectory, exit_status: int, cause: str | None, timeout_s: float | None
+    directory: RunDirectory, exit_status: int, cause: Cause | None, timeout_s: float | None
 ) -> WorkerResult:
     """Return how a run ended, from its worker's exit status and status.json, and record it."""
     status = directory.status
@@ -123,9 +126,9 @@ def _record_end(
         return "failed"
     if status == "failed":
         return "failed"
-    if cause == "stopped" or status == "interrupted":
+    if cause == "interrupted" or status == "interrupted":
         directory.update_status(status="interrupted")
-        return "stopped"
+        return "interrupted"
     was_killed = exit_status == SERVER_LOST or -exit_status in KILLS
     reason = _describe_exit(directory, exit_status)
     directory.update_status(status="failed", error=reason, killed=was_killed or None)
@@ -133,7 +136,7 @@ def _record_end(
 
 
 def _describe_exit(directory: RunDirectory, exit_status: int) -> str:
-    """Say why a worker that recorded no end of its run has exited."""
+    """Say why a worker exited without recording how its run ended."""
     if exit_status == -signal.SIGKILL:
         return "killed by SIGKILL (out of memory?)"
     if exit_status < 0:
@@ -151,7 +154,7 @@ def supervise_job(path: Path) -> None:
         KeyboardInterrupt: a signal stopped it; not an Exception, so that launchers start no further
             job.
     """
-    # Submitit sends the last when the time is nearly up.
+    # Submitit sends SIGUSR2 when the time is nearly up.
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)
     with stop_on_signal(None, signals) as stop:
         supervise(path, stop)

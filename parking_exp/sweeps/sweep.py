@@ -147,10 +147,10 @@ def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     for run, state in zip(runs, states, strict=True):
         if run.needs_evaluation and run.evaluation_problem is not None:
             out.print(f"kept     {run_name(state)}: {run.evaluation_problem}")
-    due = [run.state.stage for run in runs if run.is_due and run.state.stage != "running"]
-    line = f"{plural(len(runs), 'run')}, {len(due)} to run"
-    if "done" in due:
-        line += f", {due.count('done')} of them for another evaluation only"
+    due_stages = [run.state.stage for run in runs if run.is_due and run.state.stage != "running"]
+    line = f"{plural(len(runs), 'run')}, {len(due_stages)} to run"
+    if "done" in due_stages:
+        line += f", {due_stages.count('done')} of them for another evaluation only"
     out.print(line)
 
 
@@ -198,7 +198,7 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
 
 
 def _write_plans(runs: Sequence[PlannedRun]) -> None:
-    """Write the files of the runs that are due, and bring the other runs to this plan."""
+    """Write the files of due runs, and complete the cell number and the store of other runs."""
     for run in runs:
         directory = RunDirectory(run.path)
         if run.is_due:

@@ -48,14 +48,15 @@ def _train(directory: RunDirectory, n_threads: int) -> int:
     try:
         config = directory.config()
         with no_garbage_collection(freeze=True):
-            import torch  # for which cores and environment are settled now
+            import torch  # reads cores and environment, which `work` has set
 
-            from parking_exp.training.train_run import check_device, train_run
+            from parking_exp.algorithms.torch_settings import check_device
+            from parking_exp.training.train_run import train_run
         if n_threads:
             # A forked process has read the fork server's environment.
             torch.set_num_threads(n_threads)
-        # Slurm signals every process of a job, and the supervisor passes its own signal on: the
-        # checkpoint comes first.
+        # Slurm signals every process of a job, and the supervisor passes on its own signal. The
+        # second signal must not interrupt the checkpoint.
         with unfailing_output(), directory.training_lock(), stop_on_signal(None) as stop:
             if directory.result() is None:  # else another worker has finished it
                 check_device(config.device)

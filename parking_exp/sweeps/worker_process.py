@@ -22,13 +22,12 @@ started.
 # On macOS, system libraries do not survive a fork.
 LOCAL_START_METHOD: StartMethod = "spawn" if sys.platform == "darwin" else "forkserver"
 SERVER_LOST = 255  # exit status of a process whose server was killed
-# `multiprocessing` starts a process and asks for the exit status of all others, and has no lock for
-# it.
+# To start a process, `multiprocessing` polls the exit status of all others, without a lock.
 _LOCK = threading.Lock()
 
 
 class WorkerProcess:
-    """A process that trains one run, for use by one thread; other threads may use other ones.
+    """A process that trains one run. Each object is used by one thread.
 
     Args:
         path: the run directory, with its config.
@@ -50,7 +49,7 @@ class WorkerProcess:
         self._process = context.Process(target=work, args=(path, cores, environment))
 
     def start(self) -> None:
-        """Start it, after the server that it forks from if that does not run yet."""
+        """Start the process, and first the fork server if it is not running yet."""
         # Both import the same package as this process, wherever that was found.
         same_imports = {"PYTHONPATH": os.pathsep.join(sys.path), "PYTHONSAFEPATH": "1"}
         with _LOCK, _environment(same_imports), _hidden_program():

@@ -52,7 +52,7 @@ class BatchVecEnv(VecEnv):
         self._actions = np.zeros((n_envs, *action_space.shape))
 
     def from_seeds(self, seeds: list[int]) -> Any:
-        """Return the episodes of some seeds, as the batch takes them to start."""
+        """Return what `TrainingBatch.start` takes for the episodes of some seeds."""
         return seeds
 
     def sample(self, rng: np.random.Generator, number: int) -> Any:
@@ -90,8 +90,8 @@ class BatchVecEnv(VecEnv):
         if len(ended):
             for row in ended:
                 last = {key: value[row].copy() for key, value in step.observation.items()}
-                only_time = bool(step.truncated[row] and not step.terminated[row])
-                infos[row] |= {"terminal_observation": last, "TimeLimit.truncated": only_time}
+                is_time_limit = bool(step.truncated[row] and not step.terminated[row])
+                infos[row] |= {"terminal_observation": last, "TimeLimit.truncated": is_time_limit}
             self.batch.start(self.sample(self._rng, len(ended)), ended)
             for key, value in self.batch.observe(ended).items():
                 step.observation[key][ended] = value

@@ -17,7 +17,7 @@ from parking_exp.tasks.gymnasium_env import (
 )
 from parking_exp.tasks.training_envs import ReplayActions
 
-TOLERANCE = 1e-6  # of rewards, which may be float32
+TOLERANCE = 1e-6  # rewards may be float32
 FAR = 1_000.0  # what is added to a goal to get one that is not reached
 VECTORS = (spaces.Box, spaces.MultiBinary)
 
@@ -135,7 +135,7 @@ def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
         at_goal = reward.compute(achieved, achieved.copy(), infos)
         with_far_goal = reward.compute(achieved, far, infos)
         from_far = reward.compute(far, achieved, infos)
-    except Exception:  # an environment may refuse goals that can't be reached: it looks at them
+    except Exception:  # an environment that refuses goals out of reach does not ignore them
         return None
     if np.array_equal(at_goal, with_far_goal) and np.array_equal(at_goal, computed):
         return "desired_goal"

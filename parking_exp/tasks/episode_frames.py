@@ -19,15 +19,15 @@ def episode_frames(
     frame_rate: int,
     cut: str = "",
 ) -> Iterator[np.ndarray]:
-    """Yield the frames of an episode from its start to its end, and one second of its end.
+    """Yield the frames of an episode, and repeat the last one for a second.
 
     Args:
-        steps: the steps of the episode, which has a batch of its own; they may be cut.
+        steps: the steps of a batch of this episode alone. They may stop before it ends.
         draw: returns the frames since its last call, each of shape (height, width, 3).
-        caption: what each frame says. The last one also says how the episode ended.
-        failure: the task's name of an episode that ends badly.
+        caption: the text in each frame. The last frame also says how the episode ended.
+        failure: the task's name for the outcome of a failed episode.
         frame_rate: frames per second.
-        cut: how an episode ended whose steps were cut.
+        cut: what the last frame says if the steps stop before the episode ends.
     """
     ending = cut
     frames = draw()

@@ -51,7 +51,7 @@ class GymnasiumConfig(TaskConfig):
 
     @property
     def imports(self) -> dict[str, str]:
-        """Keys by which making an env may import a module or open a file, and their values."""
+        """Config keys that may make an env import a module or open a file, and their values."""
         unsafe = {
             f"kwargs.{key}": str(value)
             for key, value in self.kwargs.items()

@@ -77,8 +77,8 @@ class GoalInfo(gym.Wrapper):
 class GymnasiumReward(GoalReward):
     """The `compute_reward` of an environment, for many goals at once.
 
-    A goal is reached where `compute_terminated` says so, if episodes end there, or else where the
-    reward is as high as at the goal itself.
+    If episodes end at their goals, `compute_terminated` says whether a goal is reached. Otherwise
+    it is reached where the reward is as high as at the goal itself.
     """
 
     def __init__(self, config: GymnasiumConfig) -> None:
@@ -137,8 +137,8 @@ class GymnasiumReward(GoalReward):
     def _convert_infos(self) -> Callable[[list[dict[str, Any]]], Any]:
         """The function that converts many infos to what `compute_reward` takes.
 
-        That is a list, or an array where it takes no list: Stable-Baselines3 passes both
-        (`copy_info_dict`).
+        That is a list, or an array if it refuses lists. Stable-Baselines3 passes either of them,
+        depending on `copy_info_dict`.
         """
         achieved, desired, _, infos = self.steps
         try:
@@ -170,10 +170,10 @@ class GymnasiumReward(GoalReward):
 
 
 def random_steps(env: gym.Env) -> RandomSteps:
-    """Take random steps, always the same.
+    """Take the same random steps in every call.
 
-    At least one episode ends, unless it is longer than MAX_RANDOM_STEPS: some entries of `info`
-    appear only at the end.
+    At least one episode ends, since some entries of `info` appear only at the end. An episode of
+    more than MAX_RANDOM_STEPS may not end.
     """
     env.action_space.seed(0)
     env.reset(seed=0)

@@ -141,11 +141,10 @@ def _process_errors() -> Iterator[None]:
 
 
 def _env_of_worker(config: GymnasiumConfig, spec: EnvSpec | None) -> gym.Env:
-    """Make an env in a process of its own, which leaves signals to the training: it ends with the
-    pipe.
+    """Make an env in a worker process, which ignores signals and ends with its pipe.
 
-    The process knows only environments that some module registers. `spec` tells it those that a
-    notebook registers.
+    A worker knows only environments that a module registers. `spec` adds the environment that a
+    notebook has registered.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -166,10 +165,12 @@ def _draw(env: gym.Env) -> list[np.ndarray]:
 
 
 def _mujoco_backend() -> str:
-    """Return how MuJoCo renders without a display on this machine; VideoError where neither EGL nor
-    OSMesa works.
+    """Return the backend with which MuJoCo renders on this machine without a display.
 
-    Each is tried in a process of its own: a failed attempt leaves settings that break the next.
+    Each backend is tried in its own process: a failed attempt leaves settings that break the next.
+
+    Raises:
+        VideoError: neither EGL nor OSMesa works.
     """
     program = [sys.executable, "-c", "import mujoco; mujoco.GLContext(8, 8).make_current()"]
     for backend in ("egl", "osmesa"):

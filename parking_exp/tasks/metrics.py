@@ -1,8 +1,8 @@
 """Metrics of evaluation episodes: each is declared once, by its task.
 
 Evaluation, `episodes.csv`, the store, the frames of `parking_exp.results` and the tables of reports
-read them. `env.metrics` adds metrics of a user's own package, by dotted paths. Of those, a store
-has keys and values alone, so that reading it imports nothing of that package.
+use them. `env.metrics` adds metrics of a user's own package, by dotted paths. A store only has
+their keys and values, so reading it does not import that package.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,25 +24,25 @@ class Episode:
     steps: int  # policy steps
     total_reward: float  # undiscounted
     end: Any  # the state at its end, from `EvaluationBatch.ending`
-    info: Mapping[str, Any]  # of its last step, from `EvaluationBatch.info`
+    info: Mapping[str, Any]  # what `EvaluationBatch.info` says at its last step
 
 
 @dataclass(frozen=True)
 class Metric:
     """A metric of evaluation episodes, reported as the rate of a bool or the mean of a number."""
 
-    name: str  # of its column in `episodes.csv`; outcomes share the column `outcome`
+    name: str  # names its column in `episodes.csv`; outcomes share the column `outcome`
     # Its value, computed from an episode that has ended.
     of: Callable[[Episode], bool | int | float]
     label: str  # heading in tables
     unit: str = ""  # shown behind the label
-    dtype: Literal["bool", "int64", "float64"] = "float64"  # of the column in frames
+    dtype: Literal["bool", "int64", "float64"] = "float64"  # the column's dtype in frames
     column: str | None = None  # in `Results.runs`; None: `NAME_rate` or the name
-    # Of this package's metrics. Metrics of users are always in both.
+    # For metrics of this package. Metrics of users are always in both.
     in_curves: bool = False  # whether `Results.curves` has it
     in_reports: bool = False  # whether reports have its mean over seeds
     is_outcome: bool = False  # whether it is the share of episodes that ended like this
-    colour: str | None = None  # of its curve in curves.png; None: it has none
+    colour: str | None = None  # colour of its curve in curves.png; None: no curve
     note: str = ""  # its definition, beside its rate on the terminal
 
     @property
@@ -85,8 +85,8 @@ def outcome_rate(name: str, colour: str) -> Metric:
     return rate(name, lambda e: e.outcome == name, colour=colour, is_outcome=True)
 
 
-# Okabe and Ito's palette, distinguishable with any colour vision. In `Results.runs`, `steps` are
-# the env steps trained.
+# Okabe and Ito's palette, distinguishable with any colour vision. STEPS has a column of its own,
+# since `steps` of `Results.runs` are env steps of training.
 SUCCESS = outcome_rate("success", "#009E73")
 TIMEOUT = outcome_rate("timeout", "#56B4E9")
 FAILURE_COLOUR = "#D55E00"
@@ -108,7 +108,7 @@ GYMNASIUM_METRICS: tuple[Metric, ...] = (
 
 
 def outcome(failure: str, failed: bool, is_success: bool) -> str:
-    """Return how an episode ended; failing, called `failure`, takes precedence over success."""
+    """Return the outcome of an episode; a failure, named `failure`, takes precedence."""
     if failed:
         return failure
     if is_success:

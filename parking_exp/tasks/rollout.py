@@ -7,9 +7,7 @@ import numpy as np
 from parking_exp.tasks.task import EvaluationBatch, Policy, Step, Task
 
 Rollout = Iterator[tuple[np.ndarray, np.ndarray, Step]]
-"""After each step: the numbers of the episodes that took it, shape (n,), their actions, shape (n,
-actions), and the step.
-"""
+"""For each step: episode numbers, shape (n,), their actions, shape (n, actions), and the step."""
 
 
 def seed_batches(seeds: Sequence[int], task: Task, policy: Policy) -> Iterator[list[int]]:
@@ -25,9 +23,9 @@ def rollout(
     seeds: Sequence[int],
     on_progress: Callable[[], None] | None = None,
 ) -> Rollout:
-    """Step a batch until all episodes have ended; the policy sees those that are under way.
+    """Step a batch until all episodes have ended.
 
-    What has ended leaves the batch after its last step was yielded.
+    An episode leaves batch and policy after its last step was yielded.
 
     Args:
         policy: chooses the actions.

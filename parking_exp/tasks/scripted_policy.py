@@ -8,10 +8,11 @@ from parking_exp.tasks.task import Policy, Task
 
 
 class ScriptedPolicy(Policy):
-    """A policy that is not trained, and knows from which seeds its episodes start.
+    """A policy that is not trained and knows the seeds of its episodes.
 
-    `algorithm._target_` names a subclass, beside `trained: false`. Its other arguments are keys of
-    the section, whose values are checked by their annotations, such as pydantic's `PositiveFloat`.
+    `algorithm._target_` names a subclass, and `algorithm.trained` is false. Other keys of
+    `algorithm` are arguments of its constructor, which are checked by their annotations, such as
+    pydantic's `PositiveFloat`.
 
     Args:
         task: the task of its episodes.

@@ -84,7 +84,7 @@ class Policy(ABC):
         """Return the actions of all episodes of the batch, shape (n, actions)."""
 
     def keep(self, rows: np.ndarray) -> None:  # noqa: B027 most policies have no state
-        """Keep only some episodes of the batch, by mask; the others have ended."""
+        """Keep the episodes where the mask `rows` is true; the others have ended."""
 
     def info(self, row: int) -> Mapping[str, Any]:
         """Return entries of `Episode.info` for an episode that has just ended."""
@@ -111,9 +111,9 @@ class EvaluationBatch(Protocol):
         """Keep only some of the episodes, by mask."""
 
     def ending(self, row: int) -> Any:
-        """Return what metrics of an episode that has just ended get as `Episode.end`.
+        """Return the final state of an episode that has just ended, as `Episode.end`.
 
-        It is None if nothing but the outcome is known.
+        It is None if only the outcome is known.
         """
         return None
 
@@ -131,7 +131,7 @@ class Task(ABC):
     Attributes:
         metrics: the metrics of an evaluation episode; `success` is always there.
         failure: the outcome of an episode that ends badly, by its name in this task.
-        monitored: entries of `info` that `monitor.csv` has of each training episode.
+        monitored: entries of `info` that `monitor.csv` records for each training episode.
         batch_size: evaluation episodes that are stepped together.
     """
 
@@ -145,9 +145,9 @@ class Task(ABC):
     def training_envs(self, n_envs: int) -> "VecEnv":
         """Make training envs.
 
-        HER relabels with their attribute `goal_reward`, a `GoalReward`. Checkpoints save their
-        state by the methods `get_state` and `set_state` of the VecEnv, or else of each env: nested
-        dicts and lists of arrays, numbers and text.
+        The VecEnv has an attribute `goal_reward`, a `GoalReward`, with which HER relabels. For
+        checkpoints, the VecEnv or each env has `get_state` and `set_state`. A state consists of
+        nested dicts and lists of arrays, numbers and text.
         """
 
     @abstractmethod
@@ -231,11 +231,11 @@ class TaskReport:
     Attributes:
         methods: sentences on how results are defined.
         sections: the sections of the report.
-        cell_data: returns data of a cell for the sections, from the final episodes of its runs
-            (EPISODE_SEED, outcome), and from its config by dotted keys.
-        figure_data: returns what figures show of a cell beside its data, from the paths of one run
-            (EPISODE_SEED, step, positions, outcome), which may have none, and from its config by
-            dotted keys.
+        cell_data: returns the data of a cell for the sections. Its arguments are a frame of final
+            episodes (EPISODE_SEED, outcome) for each run, and the config by dotted keys.
+        figure_data: returns further data of a cell for the figures. Its arguments are a frame of
+            the paths of one run (EPISODE_SEED, step, positions, outcome), which may be empty, and
+            the config by dotted keys.
     """
 
     methods: Sequence[str]

@@ -1,5 +1,6 @@
 """The base of the `env` groups of all tasks: what the rest of the package needs from them."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from operator import not_
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
@@ -9,7 +10,7 @@ from pydantic import Field
 from parking_exp.config_model import TRAINING_SEEDS_START, ConfigModel, Name
 
 
-class TaskConfig(ConfigModel):
+class TaskConfig(ConfigModel, ABC):
     """The `env` group of a task, chosen by its key `task`.
 
     Attributes:
@@ -29,7 +30,7 @@ class TaskConfig(ConfigModel):
 
     task: Any
     name: Name
-    # Left out of stored configs and of the names of evaluations where there are none.
+    # Stored configs and the names of evaluations leave out an empty list, too.
     metrics: Annotated[list[str] | None, Field(exclude_if=not_)] = None
 
     if TYPE_CHECKING:  # a key of some tasks, and fixed for others
@@ -42,14 +43,14 @@ class TaskConfig(ConfigModel):
         """Return the config of training envs."""
         return self
 
+    @abstractmethod
     def episode_steps(self) -> int | None:
         """Return the longest episode in steps; None where only the environment knows."""
-        raise NotImplementedError
 
     def overlap_problem(self, setting: str, first_seed: int, n_episodes: int) -> str | None:
-        """Say why evaluation can't begin with a seed: its episodes would be training episodes.
+        """Return why an evaluation would share episodes with training, or None.
 
-        `setting` is the key of the seed, for the sentence.
+        `setting` is the config key of its first seed.
         """
         start = self.training_seeds.start
         if first_seed + n_episodes <= start:
@@ -61,7 +62,7 @@ class TaskConfig(ConfigModel):
 
     @property
     def imports(self) -> dict[str, str]:
-        """Keys by which making an env may import a module or open a file, and their values."""
+        """Config keys that may make an env import a module or open a file, and their values."""
         return {f"metrics.{number}": path for number, path in enumerate(self.metrics or ())}
 
     def problems(self) -> Iterator[str]:
@@ -73,9 +74,7 @@ class TaskConfig(ConfigModel):
         yield from ()
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for the policy's features, or an argument of the buffer, that the task
-        does not support.
-        """
+        """Yield a sentence for each option of policy or buffer that the task does not support."""
         if features != "raw":
             yield (
                 f"algorithm.features={features} is available for parking only; use "

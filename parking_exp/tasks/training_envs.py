@@ -17,9 +17,9 @@ MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
 
 
 class ReplayActions(gym.Wrapper):
-    """Save and restore an env whose state can't be saved, by replaying its episode's actions.
+    """Restore an env whose state can't be saved, by replaying the actions of its episode.
 
-    Recorded are the random generator before `reset`, and the actions of the episode under way.
+    The wrapper records the random generator's state before `reset`, and the actions since.
     """
 
     def __init__(self, env: gym.Env) -> None:
@@ -86,7 +86,7 @@ def get_state(envs: VecEnv) -> dict[str, Any]:
     """Return the state of training envs as nested dicts and lists of arrays and numbers."""
     assert isinstance(envs, VecMonitor)
     inner: Any = envs.venv
-    has_state = hasattr(inner, "get_state")  # of all envs together, as the simulator of parking
+    has_state = hasattr(inner, "get_state")  # one for all envs, as in the simulator of parking
     return {
         "monitor": {name: getattr(envs, name) for name in MONITOR_STATE},
         "envs": inner.get_state() if has_state else inner.env_method("get_state"),

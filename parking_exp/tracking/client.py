@@ -1,9 +1,9 @@
 """Connect to an MLflow store without hanging, with a lock that the writers of a sqlite store share.
 
-A sqlite store takes one writer at a time, and MLflow has a second one wait for 20 s before it fails
-with "database is locked", so our writers queue for a lock file beside the database. Its journal
-stays sqlite's own rollback journal: a write-ahead log needs memory shared between processes, which
-network file systems lack. Readers (`mlflow ui`) need no lock.
+A sqlite store takes one writer at a time. With MLflow, a second writer waits for 20 s and fails
+with "database is locked". So our writers queue for a lock file beside the database. The database
+keeps sqlite's rollback journal, since a write-ahead log needs shared memory, which network file
+systems lack. Readers (`mlflow ui`) need no lock.
 """
 
 import logging
@@ -40,7 +40,7 @@ ENVIRONMENT = {
 
 
 def import_mlflow() -> None:
-    """Import mlflow, with what it reads from the environment at that time."""
+    """Import mlflow, after setting the environment variables that it reads on import."""
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
     # A user of a container may have no home, for which mlflow's import fails.
@@ -56,9 +56,9 @@ def import_mlflow() -> None:
 
 @cache
 def say_ignored_store() -> None:
-    """Say once that MLflow's own variable chooses no store.
+    """Say once that `MLFLOW_TRACKING_URI` is ignored.
 
-    If it did, run directories of others would be sent there.
+    If it chose the store, other people's run directories would be sent there.
     """
     if os.environ.get("MLFLOW_TRACKING_URI"):
         say(
@@ -69,9 +69,9 @@ def say_ignored_store() -> None:
 
 
 def connect(uri: str) -> "MlflowClient":
-    """Return a client of a store that has answered; make a database of sqlite if there is none.
+    """Connect to a store, and check that it answers; make a sqlite database if there is none.
 
-    Raises whatever MLflow, SQLAlchemy or the disk raise; `reason_of_store_failure` puts it in a
+    Raises whatever MLflow, SQLAlchemy or the disk raise; `reason_of_store_failure` makes it one
     line.
     """
     with no_garbage_collection():
@@ -107,7 +107,7 @@ def _make_database(path: Path) -> None:
     from mlflow import MlflowClient
 
     new = path.with_name(f".{path.name}.new")
-    leftovers = (new, Path(f"{new}-journal"))  # of a process that was killed
+    leftovers = (new, Path(f"{new}-journal"))  # left by a process that was killed
     # Sqlite would apply an old journal to the new database.
     for file in (*leftovers, Path(f"{path}-journal")):
         file.unlink(missing_ok=True)

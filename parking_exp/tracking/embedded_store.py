@@ -1,8 +1,8 @@
-"""The store inside an output directory, made again from run directories if it can't be used.
+"""The store inside an output directory, rebuilt from the run directories if it can't be used.
 
 It can't be used if it is missing, if its creation was interrupted, or if the output directory was
-moved or copied: MLflow keeps absolute locations of artifacts, which its client can't change. A
-store that has anything of others, or that a newer MLflow has made, is never replaced.
+moved or copied: MLflow stores absolute locations of artifacts, which its client can't change. A
+store that contains runs of others, or that a newer MLflow has made, is never replaced.
 """
 
 import os
@@ -49,10 +49,10 @@ def rebuild_if_unusable(store: Store) -> None:
 
 
 def _build(store: Store, path: Path) -> None:
-    """Make a store from the run directories beside its database, in place of one that is there.
+    """Make a store from the run directories beside its database, and replace an existing one.
 
-    It is made under another name, and renamed. Runs that can't be written are named, and left to
-    the next sync.
+    The store is made under a temporary name, then renamed. Runs that can't be written are reported
+    and left to the next sync.
     """
     output_dir = path.parent
     _remove_unfinished(path)
@@ -76,7 +76,7 @@ def _build(store: Store, path: Path) -> None:
         try:
             with no_garbage_collection():
                 write_new_run(directory, new, store.uri, experiment_ids)
-        except Exception as error:  # of this run; the store has the others
+        except Exception as error:  # this run can't be written; the others are
             problems.append(f"{directory.path}: {reason_of_store_failure(error)}")
     unfinished.replace(path)
     lock_path(unfinished).unlink(missing_ok=True)
@@ -88,8 +88,8 @@ def _is_usable(path: Path) -> bool:
     """Return whether a store can be used where it is; if not, it may be replaced.
 
     Raises:
-        StoreError: it has to be replaced, but has something of others.
-        Exception: what MLflow, SQLAlchemy or the disk raise where the store is not to blame.
+        StoreError: a newer MLflow made it, or it can't be used but contains runs of others.
+        Exception: any other error of MLflow, SQLAlchemy or the disk.
     """
     if not path.exists():
         return False
@@ -105,15 +105,15 @@ def _is_usable(path: Path) -> bool:
         if text.endswith("already exists"):  # as tables of interrupted migrations do
             return False
         raise
-    places = {experiment.tags.get(OUTPUT_DIR_TAG) for experiment in experiments}
-    if places <= {None, str(path.parent)}:  # it is where it was made
+    output_dirs = {experiment.tags.get(OUTPUT_DIR_TAG) for experiment in experiments}
+    if output_dirs <= {None, str(path.parent)}:  # it is where it was made
         return True
     _refuse_content_of_others(store, path)
     return False
 
 
 def _set_aside(path: Path) -> None:
-    """Give a store and its artifacts other names, beside the old ones, and say so."""
+    """Rename a store and its artifacts to `*.replaced-N`, and say so."""
     output_dir = path.parent
     number = 1
     while any(output_dir.glob(f"*.replaced-{number}")):

@@ -42,8 +42,12 @@ MAX_EXPERIMENTS = 50_000  # MLflow's limit
 class Store:
     """An MLflow store; it connects at the first use.
 
-    The store inside of `output_dir` may come from elsewhere with that directory: artifacts are read
-    and written below it only. Artifacts of other stores may lie anywhere.
+    A store inside `output_dir` may come from other people. So its artifacts are read and written
+    only below that directory. Artifacts of other stores may be anywhere.
+
+    Args:
+        uri: the URI of the store.
+        output_dir: the output directory whose runs are read or written; None if it belongs to none.
     """
 
     def __init__(self, uri: str, output_dir: Path | None) -> None:
@@ -53,7 +57,7 @@ class Store:
         self._output_dir: Path | None = None
         if self._database and output_dir and self._database.is_relative_to(output_dir):
             self._output_dir = output_dir
-        self._runs: dict[frozenset[str], list[Run]] = {}  # of `runs`
+        self._runs: dict[frozenset[str], list[Run]] = {}  # results of `runs`, by experiment ids
 
     @property
     def is_in_output_dir(self) -> bool:
@@ -72,7 +76,7 @@ class Store:
 
     @property
     def embedded_database(self) -> Path | None:
-        """Its file, if it is the one store that the output directory itself has."""
+        """The database file, if this is the output directory's default store."""
         if self._output_dir is None or self.uri != default_uri(self._output_dir):
             return None
         return self._database
@@ -234,10 +238,10 @@ class Store:
             return Path(self.client.download_artifacts(run_id, name, temporary)).read_bytes()
 
     def _artifact_path(self, folder_uri: str, name: str) -> Path | None:
-        """Return the path of an artifact, None if artifacts are not files of this machine.
+        """Return the path of an artifact; None if artifacts are not local.
 
         Raises:
-            StoreError: it is outside of the output directory whose store this is.
+            StoreError: the store is inside an output directory, but the artifact is not.
         """
         folder = local_folder(folder_uri)
         path = folder / name if folder else None

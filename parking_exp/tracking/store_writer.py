@@ -15,8 +15,9 @@ from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import complete_store, sync_hint, try_sync
 
 POLL_S = 1.0
-# Until a run that could not be synced is tried again. A try may take minutes: the pause is at least
-# so many times as long, since a run in this process waits for it.
+# A run that could not be synced is tried again after PAUSE_S, or after PAUSE_RATIO times the
+# duration of the last try if that is longer. A try may take minutes, and a run in this process
+# waits for it.
 PAUSE_S = 60.0
 PAUSE_RATIO = 10
 SyncPoint = tuple[Status, str | None]
@@ -45,8 +46,8 @@ class StoreWriter:
         return bool(self._next_try)
 
     def sync(self, directory: RunDirectory) -> None:
-        """Make the store of a run agree with it, unless it does, or that has failed just now."""
-        self._sync(directory, sync_point(directory))
+        """Sync a run to its store, unless nothing has changed or the last try has just failed."""
+        self._sync(directory, _sync_point(directory))
 
     def _sync(self, directory: RunDirectory, point: SyncPoint) -> None:
         path = directory.path
@@ -62,7 +63,7 @@ class StoreWriter:
             if problem is None:
                 self._synced[path] = point
                 self._next_try.pop(path, None)
-            elif point == sync_point(directory):  # else it went on, and its files with it
+            elif point == _sync_point(directory):  # else the run went on and changed its files
                 if not self.has_failed:
                     hint = sync_hint(directory.output_dir, store.uri)
                     self._say(
@@ -80,42 +81,42 @@ class StoreWriter:
                 self._say(problem)
 
     @contextmanager
-    def syncing(self, find: Callable[[], Sequence[Path]]) -> Iterator[None]:
+    def syncing(self, find_run_dirs: Callable[[], Sequence[Path]]) -> Iterator[None]:
         """Sync runs in a thread as they save checkpoints and end; at last, all that is missing.
 
-        `find` returns the run directories that exist now.
+        `find_run_dirs` returns the run directories that exist now.
         """
         if not self._stores:
             yield
             return
-        for path in find():
-            self._synced[path] = sync_point(RunDirectory(path))
+        for path in find_run_dirs():
+            self._synced[path] = _sync_point(RunDirectory(path))
         is_over = threading.Event()
-        thread = threading.Thread(target=self._watch, args=(find, is_over), daemon=True)
+        thread = threading.Thread(target=self._watch, args=(find_run_dirs, is_over), daemon=True)
         thread.start()
         try:
             yield
         finally:
             is_over.set()
             thread.join()
-            self.complete_stores([RunDirectory(path) for path in find()])
+            self.complete_stores([RunDirectory(path) for path in find_run_dirs()])
 
-    def _watch(self, find: Callable[[], Sequence[Path]], is_over: threading.Event) -> None:
+    def _watch(self, find_run_dirs: Callable[[], Sequence[Path]], is_over: threading.Event) -> None:
         """Sync the runs that have a new checkpoint or have ended, until it is over."""
         while not is_over.wait(POLL_S):
             try:
-                paths = find()
+                paths = find_run_dirs()
             except (OSError, ParkingError):  # e.g. a folder that is being deleted: look again
                 continue
             for directory in map(RunDirectory, paths):
-                point = sync_point(directory)
+                point = _sync_point(directory)
                 status, checkpoint = point
                 is_begun = checkpoint is not None or status not in ("pending", "running")
                 if is_begun and not is_over.is_set():
                     self._sync(directory, point)
 
 
-def sync_point(directory: RunDirectory) -> SyncPoint:
+def _sync_point(directory: RunDirectory) -> SyncPoint:
     """Return a run's status and its newest checkpoint.
 
     There is something to sync when they have changed.

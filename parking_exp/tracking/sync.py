@@ -68,13 +68,13 @@ def adopt_store(directory: RunDirectory, config: RunConfig) -> None:
 def sync_missing(
     directories: Iterable[RunDirectory], store: Store
 ) -> Iterator[tuple[RunDirectory, str | None]]:
-    """Sync the runs that a store lacks or has an older state of, found by one search.
+    """Sync the runs that a store lacks or has in an older state; one search finds them.
 
-    Each run is sent when its result is asked for, so iterate to the end. Runs under way are
-    skipped. The store that a run directory names is not connected to: it may come from elsewhere.
+    Runs are sent while the caller iterates, so iterate to the end. Running runs are skipped. Only
+    `store` is connected to: the stores that run directories name may come from other people.
 
     Yields:
-        Each run that the store lacked, and what kept it from being synced now, or None.
+        Each run that had to be sent, and why it could not be, or None.
     """
     directories = list(directories)
     for directory in directories:
@@ -99,9 +99,9 @@ def sync_missing(
 def _is_stored(
     directory: RunDirectory, store: Store, synced: "Mapping[tuple[Path, str | None], Run]"
 ) -> bool:
-    """Return whether a store has a run as it is now; of files that can't be read, it has not.
+    """Return whether a store has a run as it is now; False if the run's files can't be read.
 
-    `synced` are the store's runs by directory and digest.
+    `synced` has the store's runs by directory and digest.
     """
     with suppress(OSError):
         status = status_for_store(directory)
@@ -160,9 +160,9 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
 def _runs_by_state(
     directories: Iterable[RunDirectory], store: Store
 ) -> "dict[tuple[Path, str | None], Run]":
-    """Return the store's runs of the experiments of some directories, by directory and digest.
+    """Return the stored runs of the directories' experiments, by run directory and digest.
 
-    The digest stands for a state of the directory.
+    The digest identifies a state of the run directory.
     """
     runs = {}
     for run in _runs_of_experiments(directories, store):

@@ -1,10 +1,10 @@
 """Write a run directory into an MLflow store; the directory is the truth, and the store its index.
 
-A directory may be in any state that a kill can leave it in. The tag `mirrored` of a stored run is a
-digest of the files that the store has; it and the tag `status` are written last, so that a run is
-`done` in the store once all of it is there. Metrics are written as soon as they are final: up to
-the last checkpoint, from which an interrupted run resumes, and all of them when the run is done.
-Files of a finished run that have changed since are not written.
+A kill may have left the directory in any state. The tag `mirrored` of a stored run is a digest of
+the files that the store has. This tag and `status` are written last, so a run is `done` in the
+store only when everything is there. Metrics are written once they are final: up to the last
+checkpoint while the run is unfinished, and all of them when it is done. Files that changed after
+the run was finished are not written.
 """
 
 from collections.abc import Iterator, Mapping
@@ -42,9 +42,9 @@ def write_run(directory: RunDirectory, store: Store) -> None:
     snapshot = take_snapshot(directory, store)
     tags = snapshot.tags
     experiment_id = store.find_or_make_experiment(snapshot.config)
-    run, earlier = _find(directory, store, experiment_id, tags)
+    run, earlier = _find_stored_run(directory, store, experiment_id, tags)
     if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
-        return  # its results stay until that is done
+        return  # the store keeps the results until the new evaluation is done
     for replaced in earlier:
         with store.writing() as client:
             client.delete_run(replaced.info.run_id)  # it can be restored in MLflow's UI
@@ -71,15 +71,15 @@ def write_run(directory: RunDirectory, store: Store) -> None:
 def write_new_run(
     directory: RunDirectory, store: Store, uri: str, experiment_ids: dict[str, str]
 ) -> None:
-    """Write a run directory into a store that is being made, and has nothing of it.
+    """Write a run directory into a new store that nobody reads yet.
 
-    Nobody reads such a store: its runs begin with their last tags and names.
+    The run gets its last tags and its last name at once.
 
     Args:
         directory: the run directory.
-        store: that gets it.
-        uri: the store's URI under the name that it is going to have.
-        experiment_ids: ids of the experiments that the store has; the run's is added.
+        store: the new store.
+        uri: the URI of the store after it is renamed.
+        experiment_ids: experiment ids of the store by name; the run's experiment is added.
     """
     _refuse_damage(directory)
     snapshot = take_snapshot(directory, store)
@@ -99,12 +99,12 @@ def _refuse_damage(directory: RunDirectory) -> None:
     if changed:
         raise StoreError(
             f"{', '.join(changed)} changed after the run was finished; the store keeps what it "
-            "has. Restore the file, or delete it, and this warning goes"
+            "has. Restore or delete the file to end this warning"
         )
 
 
 def _is_up_to_date(store: Store, run: "Run", snapshot: RunSnapshot) -> bool:
-    """Return whether a store has a run as it is now, and where it is now."""
+    """Return whether a store has the current files and directory of a run."""
     is_same = run.data.tags.get(DIGEST) == snapshot.last_tags[DIGEST]
     is_here = run.data.tags.get("run_dir") == snapshot.tags["run_dir"]
     return is_same and is_here and store.has_artifacts(run, snapshot.files)
@@ -124,7 +124,7 @@ def _create(store: Store, experiment_id: str, tags: Mapping[str, str], name: str
 
 
 def _record_id(directory: RunDirectory, run: "Run", uri: str) -> None:
-    """Record which run of which store a run directory is."""
+    """Record a run's MLflow id and store in its directory."""
     run_id = run.info.run_id
     if directory.run_id != run_id or directory.tracking_uri != uri:
         directory.update_status(run_id=run_id, tracking_uri=uri)
@@ -151,7 +151,7 @@ def _write_content(store: Store, run: "Run", snapshot: RunSnapshot) -> None:
 
 
 def _new_metrics(run: "Run", log: Path | None) -> "Iterator[Metric]":
-    """Yield the points of a log of metrics that come after those that the store has."""
+    """Yield the points of a metrics log that are later than the stored ones."""
     from mlflow.entities import Metric
 
     latest = {metric.key: metric.step for metric in run.data.to_proto().metrics}
@@ -161,15 +161,15 @@ def _new_metrics(run: "Run", log: Path | None) -> "Iterator[Metric]":
                 yield Metric(key, value, record["time_ms"], record["step"])
 
 
-def _find(
+def _find_stored_run(
     directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]
 ) -> "tuple[Run | None, list[Run]]":
-    """Return the stored run of a directory, and stored runs that it replaces.
+    """Find the stored run of a directory, and older stored runs that it replaces.
 
-    The id in status.json may have been copied, or written by anybody. A run of another directory is
-    taken only if that is gone: then it was moved here. A shared store has runs of other output
-    directories, some of which have the same path on another machine: their runs are left alone, and
-    so is what has no owner, unless it is this very training.
+    The run id in status.json may be copied or forged. So a stored run of another directory is taken
+    only if that directory is gone, since then it was moved here. A shared store also has runs of
+    other output directories, even with the same path on another machine. These runs are left alone.
+    A run without an owner is taken only if it is the same training.
     """
     own_id = tags.get(OUTPUT_ID)  # None in the output directory's own store
     own_run: Run | None = None

@@ -85,10 +85,15 @@ def save(
     best: Path,
     keep_last: int,
 ) -> Path:
-    """Write a checkpoint, and delete all but the last `keep_last`.
+    """Write a checkpoint, delete all but the last `keep_last`, and return its folder.
 
-    The folder `checkpoints_dir` lies in the run directory, whose logs are copied, too. So is the
-    file `best`, the best model.
+    Args:
+        checkpoints_dir: the folder of checkpoints in the run directory, whose logs are copied.
+        model: the model, with its replay buffer.
+        policy_ema: the EMA of its actor.
+        progress: the run's progress, whose step names the checkpoint.
+        best: the file of the best model, which is copied if there is one.
+        keep_last: the number of checkpoints to keep.
 
     Raises:
         OSError: the disk is full; earlier checkpoints are untouched.
@@ -113,7 +118,7 @@ def save(
 
     folders = find_checkpoints(checkpoints_dir)
     number = folders.index(target) + 1
-    # A later step is of a checkpoint that was damaged when the run was resumed.
+    # Checkpoints of later steps were damaged when the run was resumed: delete them, too.
     for outdated in folders[: max(0, number - keep_last)] + folders[number:]:
         shutil.rmtree(outdated)
     return target
@@ -168,7 +173,7 @@ def restore(
 def _new_directory(target: Path) -> Iterator[Path]:
     """Yield a temporary directory; it gets its manifest and name once all of it is on disk."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    for leftover in target.parent.glob(".tmp-*"):  # of a process that was killed
+    for leftover in target.parent.glob(".tmp-*"):  # left by a process that was killed
         shutil.rmtree(leftover)
     folder = target.with_name(f".tmp-{target.name}")
     folder.mkdir()

@@ -1,6 +1,7 @@
-"""Demonstrations: episodes of a scripted policy, from which a run learns besides its own.
+"""Demonstrations: episodes of a scripted policy, which a run learns from beside its own episodes.
 
-They are made once for the env of a config, and kept in `output_dir/demonstrations`.
+They are recorded once for each env, demonstrator and number of episodes, and kept in
+`output_dir/demonstrations`.
 """
 
 import time
@@ -28,7 +29,7 @@ from parking_exp.tasks.rollout import seed_batches
 from parking_exp.tasks.scripted_policy import ScriptedPolicy, build_scripted_policy
 from parking_exp.tasks.task import Task
 
-DEMONSTRATOR_SEED = 0  # of the policy: the seeds of a cell share their demonstrations
+DEMONSTRATOR_SEED = 0  # all seeds of a cell share their demonstrations
 POLL_S = 1.0  # between two looks at whether another run is done with the file
 
 Transition = tuple[Any, ...]
@@ -61,7 +62,7 @@ def attach_demonstration_buffer(config: RunConfig, task: Task, model: OffPolicyA
 def add_demonstrations(
     config: RunConfig, model: OffPolicyAlgorithm, on_progress: Callable[[int], None]
 ) -> DemonstrationStats:
-    """Fill the demonstration buffer, from the file of the demonstrations if there is one.
+    """Fill the demonstration buffer from its file; record the episodes if there is no file.
 
     Args:
         config: the run's config.

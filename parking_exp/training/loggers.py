@@ -22,8 +22,7 @@ from parking_exp.runs.metric_logs import MetricsLog, read_metrics
 from parking_exp.runs.run_files import PROGRESS_FILE
 
 TENSORBOARD_DIR = "tensorboard"
-# TensorBoard sorts its groups by name and opens the first: evaluations, not what else begins with
-# a, b or c.
+# TensorBoard sorts its groups by name and opens the first. With these names it is `eval/`.
 GROUPS_IN_TENSORBOARD = {"buffer/": "replay/", "certified/": "final/certified_"}
 MAX_NAME_LENGTH = 60
 
@@ -72,9 +71,9 @@ def _tensorboard_tag(key: str) -> str:
 
 
 class _MetricsWriter(KVWriter):
-    """Writes to metrics.jsonl, and what that accepts to the other files.
+    """Writes rows to metrics.jsonl, and the rows that it accepts to the other files.
 
-    These start as copies of metrics.jsonl.
+    The other files start as copies of metrics.jsonl.
     """
 
     def __init__(

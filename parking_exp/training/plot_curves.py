@@ -22,7 +22,7 @@ def plot_learning_curves(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.4, 5.6), dpi=150, layout="constrained")
+    figure = Figure(figsize=(6.4, 5.6), dpi=150)
     rates, returns = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
 
     def plot(axes: Any, column: str, scale: float = 1, **style: Any) -> None:

@@ -33,8 +33,8 @@ class TrainingProgress:
     def __init__(
         self, total_steps: int, start: int, enabled: bool, heartbeat: Callable[..., None]
     ) -> None:
-        self.console = Screen(stderr=True)
-        self.enabled = enabled
+        self._console = Screen(stderr=True)
+        self._enabled = enabled
         self._total = total_steps
         self._start = start
         self._step = start
@@ -52,8 +52,8 @@ class TrainingProgress:
             TextColumn("{task.fields[figures]}"),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
-            console=self.console,
-            disable=not (enabled and self.console.is_terminal),
+            console=self._console,
+            disable=not (enabled and self._console.is_terminal),
             transient=True,
         )
         self._task = self._bar.add_task("train", total=total_steps, completed=start, figures="")
@@ -74,7 +74,7 @@ class TrainingProgress:
         self._bar.update(
             self._task, completed=step, figures=f"{success}{speed}", description="train"
         )
-        if not self.console.is_terminal and step >= self._next_line:
+        if not self._console.is_terminal and step >= self._next_line:
             self._next_line += self._line_interval
             mean_return = "" if math.isnan(episode_return) else f"return {episode_return:6.1f}  "
             self.say(f"train  {step}/{self._total} steps  {success}{mean_return}{speed}")
@@ -93,13 +93,13 @@ class TrainingProgress:
         now = time.monotonic()
         if now >= self._next_heartbeat:
             self._send_heartbeat(f"{self._activity}, {count}", 0.0)
-        if not self.console.is_terminal and now >= self._next_activity_line:
+        if not self._console.is_terminal and now >= self._next_activity_line:
             self._next_activity_line = now + LINE_S
             self.say(f"{self._activity}  {count}")
 
     def say(self, text: str) -> None:
         """Print a line, above the bar if there is one."""
-        if self.enabled:
+        if self._enabled:
             self._bar.console.print(text, highlight=False, soft_wrap=True)
 
     def _send_heartbeat(self, activity: str, rate: float) -> None:

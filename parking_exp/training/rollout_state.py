@@ -1,9 +1,8 @@
-"""State outside the model that exact resume needs.
+"""Save and restore the state outside the model that exact resume needs.
 
-These are random generators, envs, exploration noise and the logger's pending values.
-
-It is saved and restored at the beginning of a rollout. Restoring comes last there: `learn` resets
-action noise, and gSDE samples its matrices just before.
+This is the state of random generators, envs and exploration noise, and the logger's pending values.
+It is saved and restored at the beginning of a rollout: before that, `learn` resets action noise,
+and gSDE samples its matrices.
 """
 
 import random
@@ -49,8 +48,8 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
     """Restore the rollout state of a model of the same config; what follows is identical."""
     assert model.env is not None
     training_envs.set_state(model.env, state["envs"])
-    # Where no steps remain, `learn` has not been called, and noise of several envs is not
-    # vectorized yet: nor needed.
+    # If no steps remain, `learn` was not called. Then the noise of several envs is not vectorized,
+    # and is not needed.
     for env_noise, saved in zip(_noises(model.action_noise), state["noise"], strict=False):
         vars(env_noise).update(saved)
     sde = _sde(model)

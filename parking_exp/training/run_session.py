@@ -4,6 +4,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -23,34 +24,49 @@ from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.signals import StopRequest
 from parking_exp.training.trackers import RunTrackers
 
+OnSaved = Callable[[RunDirectory], None]
+"""A function that gets the directory of a run whenever something final was saved in it."""
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What the session of a run works with.
+
+    Attributes:
+        config: the run's config.
+        directory: the run's directory, whose locks are held.
+        stop: asks the run to stop.
+        on_saved: called after each checkpoint.
+        trackers: the trackers that get each row of metrics.
+        resources: closes the task, its envs, the logs and the progress bar.
+    """
+
+    config: RunConfig
+    directory: RunDirectory
+    stop: StopRequest
+    on_saved: OnSaved
+    trackers: RunTrackers
+    resources: ExitStack
+
 
 class RunSession(ABC):
     """A run in one process, from its start or from a checkpoint.
 
     Args:
-        config: the run's config.
-        directory: the run's directory.
-        trackers: the trackers that get each row of metrics.
+        context: what it works with.
         progress: the progress so far.
-        stop: asks the run to stop.
-        resources: closes the task, the logs and the progress bar.
     """
 
     policy: Policy
 
-    def __init__(
-        self,
-        config: RunConfig,
-        directory: RunDirectory,
-        trackers: RunTrackers,
-        progress: SavedProgress,
-        stop: StopRequest,
-        resources: ExitStack,
-    ) -> None:
+    def __init__(self, context: RunContext, progress: SavedProgress) -> None:
+        config = context.config
+        directory = context.directory
+        resources = context.resources
         self.config = config
         self.directory = directory
         self.progress = progress
-        self.stop = stop
+        self.stop = context.stop
         self._cpu_start = time.process_time() - progress.cpu_s
         self._wall_start = time.monotonic() - progress.wall_s
 
@@ -60,7 +76,8 @@ class RunSession(ABC):
         resources.callback(self.task.close)
         self.metrics_log = MetricsLog(path / METRICS_FILE)
         label = read_state(path).label
-        self.logger = make_logger(config.tracking, path, self.metrics_log, label, trackers.log)
+        track = context.trackers.log
+        self.logger = make_logger(config.tracking, path, self.metrics_log, label, track)
         resources.callback(self.logger.close)
         self.bar = TrainingProgress(
             config.total_timesteps,

@@ -1,18 +1,13 @@
 """A run whose policy is not trained."""
 
 import zipfile
-from contextlib import ExitStack
 from pathlib import Path
 
-from parking_exp.config.schema import RunConfig
 from parking_exp.runs.atomic_files import replacing
-from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.tasks.scripted_policy import build_scripted_policy
 from parking_exp.training.checkpoints import SavedProgress
-from parking_exp.training.run_session import RunSession
-from parking_exp.training.signals import StopRequest
-from parking_exp.training.trackers import RunTrackers
+from parking_exp.training.run_session import RunContext, RunSession
 
 
 class ScriptedSession(RunSession):
@@ -20,18 +15,11 @@ class ScriptedSession(RunSession):
 
     step = 0
 
-    def __init__(
-        self,
-        config: RunConfig,
-        directory: RunDirectory,
-        trackers: RunTrackers,
-        stop: StopRequest,
-        resources: ExitStack,
-    ) -> None:
-        super().__init__(config, directory, trackers, SavedProgress(), stop, resources)
-        algorithm = config.algorithm
+    def __init__(self, context: RunContext) -> None:
+        super().__init__(context, SavedProgress())
+        algorithm = self.config.algorithm
         self.policy = build_scripted_policy(
-            algorithm.target, algorithm.arguments, self.task, config.seed
+            algorithm.target, algorithm.arguments, self.task, self.config.seed
         )
 
     def learn(self) -> None:

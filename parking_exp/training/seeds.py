@@ -13,7 +13,7 @@ class RunSeeds:
 
     # Weights, exploration and minibatches (Python, NumPy and torch), below 2**31.
     policy: int
-    # Of the first training env; env i gets this + i. None is an evaluation's seed.
+    # Seed of the first training env; env i gets this + i. Evaluations use none of these seeds.
     training_envs: int
     # Samples the episodes of the final evaluation that are cross-checked.
     cross_check: int

@@ -37,11 +37,11 @@ def stop_on_signal(
 ) -> Iterator[StopRequest]:
     """Turn the first of some signals into a StopRequest.
 
-    `at_second` handles later ones; None ignores them.
+    `at_second` handles later signals; None ignores them.
 
-    SIGHUP, of a terminal that is closed, stays ignored under `nohup`. It never counts as a second
-    signal: the shell and the system both send it. Outside the main thread signals can't be caught,
-    and nothing changes.
+    When a terminal is closed, the shell and the system both send SIGHUP, so it never counts as a
+    second signal. Under `nohup` it stays ignored. Outside the main thread signals can't be caught,
+    and this does nothing.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():

@@ -1,5 +1,6 @@
 """Trackers of a user's own package, which get a run's metrics while it trains."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from parking_exp.errors import class_and_message
 from parking_exp.terminal import say
 
 
-class Tracker:
+class Tracker(ABC):
     """Base class of the classes that `tracking.trackers` names.
 
     Args:
@@ -23,11 +24,11 @@ class Tracker:
         self.config = config
         self.run_dir = run_dir
 
+    @abstractmethod
     def log(self, step: int, metrics: dict[str, float]) -> None:
         """Record a row of metrics at an env step, as `metrics.jsonl` has it."""
-        raise NotImplementedError
 
-    def finish(self, status: str) -> None:
+    def finish(self, status: str) -> None:  # noqa: B027 not all trackers need it
         """End the record of a run, which is `done`, `failed` or `interrupted`."""
 
 

@@ -1,19 +1,11 @@
 """Train one run whose locks are held, and record in its directory how that ends."""
 
 import traceback
-from collections.abc import Callable
 from contextlib import ExitStack
-
-import torch
 
 from parking_exp.algorithms.torch_settings import torch_settings
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import (
-    ConfigError,
-    FailedRunError,
-    InterruptedRunError,
-    class_and_message,
-)
+from parking_exp.errors import FailedRunError, InterruptedRunError, class_and_message
 from parking_exp.evaluation.evaluate_policy import describe_episodes
 from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory
@@ -23,22 +15,11 @@ from parking_exp.runs.run_provenance import record_provenance
 from parking_exp.runs.trained_here import record_training
 from parking_exp.training import checkpoints
 from parking_exp.training.final_evaluation import evaluate_final
-from parking_exp.training.run_session import RunSession
+from parking_exp.training.run_session import OnSaved, RunContext, RunSession
 from parking_exp.training.scripted_session import ScriptedSession
 from parking_exp.training.signals import StopRequest
 from parking_exp.training.trackers import RunTrackers
 from parking_exp.training.training_session import TrainingSession
-
-OnSaved = Callable[[RunDirectory], None]
-"""A function that gets the directory of a run whenever something final was saved in it."""
-
-
-def check_device(device: str) -> None:
-    """Raise ConfigError for an NVIDIA GPU that torch does not find."""
-    if device.startswith("cuda"):
-        number = int(device[5:] or 0)
-        if number >= torch.cuda.device_count():
-            raise ConfigError(f"device={device}: torch finds no such device; use auto")
 
 
 def train_run(
@@ -90,13 +71,12 @@ def _train_and_evaluate(
     record_provenance(directory.path)
     on_saved(directory)
     with ExitStack() as resources:
+        context = RunContext(config, directory, stop, on_saved, trackers, resources)
         session: RunSession
         if config.is_trained:
-            session = TrainingSession(
-                config, directory, on_saved, trackers, checkpoint, stop, resources
-            )
+            session = TrainingSession(context, checkpoint)
         else:
-            session = ScriptedSession(config, directory, trackers, stop, resources)
+            session = ScriptedSession(context)
         try:
             session.learn()
             with session.evaluated_policy():

@@ -1,8 +1,7 @@
 """The session of a run that is trained: its model and envs, with evaluations and checkpoints."""
 
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -17,19 +16,15 @@ from parking_exp.algorithms.build_model import GreedyPolicy, build_model
 from parking_exp.algorithms.normalization import UpdateNormalizer
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.schema import RunConfig
 from parking_exp.evaluation.evaluate_policy import describe_rates, rank_evaluation
-from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import MONITOR_FILE
 from parking_exp.runs.run_files import BEST_MODEL
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints, demonstrations, rollout_state, warm_start
 from parking_exp.training.checkpoints import SavedProgress, save_model
-from parking_exp.training.run_session import RunSession
+from parking_exp.training.run_session import RunContext, RunSession
 from parking_exp.training.seeds import derive_seeds
-from parking_exp.training.signals import StopRequest
-from parking_exp.training.trackers import RunTrackers
 
 BAR_UPDATES_PER_S = 5
 
@@ -38,36 +33,24 @@ class TrainingSession(RunSession):
     """The training of one run in one process, from its start or from a checkpoint.
 
     Args:
-        config: the run's config.
-        directory: the run's directory.
-        on_saved: called after each checkpoint.
-        trackers: the trackers that get each row of metrics.
+        context: what it works with.
         checkpoint: the checkpoint from which the run is resumed, if any.
-        stop: asks the training to stop.
-        resources: closes the task, its envs, the logs and the progress bar.
     """
 
-    def __init__(
-        self,
-        config: RunConfig,
-        directory: RunDirectory,
-        on_saved: Callable[[RunDirectory], None],
-        trackers: RunTrackers,
-        checkpoint: Path | None,
-        stop: StopRequest,
-        resources: ExitStack,
-    ) -> None:
+    def __init__(self, context: RunContext, checkpoint: Path | None) -> None:
         saved = checkpoints.load_state(checkpoint)["progress"] if checkpoint else {}
         progress = SavedProgress(**saved)
-        super().__init__(config, directory, trackers, progress, stop, resources)
-        self._on_saved = on_saved
+        super().__init__(context, progress)
+        config = self.config
+        directory = self.directory
+        self._on_saved = context.on_saved
         self._best = directory.models / BEST_MODEL
 
         seeds = derive_seeds(config.seed, config.env.training_seeds)
         self.env = make_training_envs(
             self.task, config.n_envs, directory.path / MONITOR_FILE, progress.wall_s
         )
-        resources.callback(self.env.close)
+        context.resources.callback(self.env.close)
         self.model = build_model(config, self.task, self.env, seeds.policy)
         if config.buffer.demonstrations:
             demonstrations.attach_demonstration_buffer(config, self.task, self.model)
@@ -157,7 +140,7 @@ class TrainingSession(RunSession):
         self._on_saved(self.directory)
 
     def record_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
-        """Record episodes; of the phase `eval`, the best model so far is kept."""
+        """Record episodes; in the phase `eval`, also keep the model if it is the best so far."""
         summary = super().record_evaluation(episodes, phase)
         if phase == "eval":
             self.progress.evaluated = self.step
@@ -165,7 +148,7 @@ class TrainingSession(RunSession):
         return summary
 
     def _keep_if_best(self, new_rank: list[float]) -> None:
-        """Save the model as the best one if no evaluation before had its rank."""
+        """Save the model as the best one if its rank exceeds the best so far."""
         if self.progress.best is None or new_rank > self.progress.best:
             self.progress.best = new_rank
             save_model(self.model, self._best)

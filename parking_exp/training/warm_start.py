@@ -1,4 +1,4 @@
-"""Start a run from the networks, and the replay buffer, of another (`init`, `init_buffer`).
+"""Start a run from another run's networks and replay buffer (`init`, `init_buffer`).
 
 Optimizers, schedules, counters, random generators and the EMA of the actor start anew.
 """
@@ -75,7 +75,7 @@ def _check_layers(config: RunConfig, agent: Agent) -> None:
 
 
 def load_source(config: RunConfig, model: OffPolicyAlgorithm) -> str:
-    """Give a fresh model what its run starts from, and return the SHA-256 of the file of weights.
+    """Load what `init` and `init_buffer` name into a fresh model; return the weights' SHA-256.
 
     It raises what `check_sources` does, and ModelError if the replay buffer does not fit.
     """

@@ -106,7 +106,7 @@ def _print_request(
 
 
 def _train_trials(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
-    """Train while trials are left, also trials of other processes, and sync the store."""
+    """Train trials until none is left, wait for those of other processes, and sync the store."""
     base = search.base
     request = search.request
     names = {f"seed={seed}" for seed in request.search.tuning_seeds}
@@ -157,7 +157,7 @@ def _retest(search: Search, trials: Sequence[TrialRow], launcher: Launcher) -> l
 
 
 def choose_trials(trials: Sequence[TrialRow], n_retest: int) -> list[TrialRow]:
-    """Return trial 0, if it is done, and the best others; of trials with the same runs, one."""
+    """Return trial 0, if it is done, and the best others; trials with the same runs count once."""
     distinct: dict[tuple[str, ...], TrialRow] = {}
     for trial in rank_trials(trials):
         distinct.setdefault(tuple(trial.runs), trial)

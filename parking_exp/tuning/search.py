@@ -113,7 +113,7 @@ class Search:
         raise_problems(problems)
 
     def _options_for(self, key: str) -> list[dict[str, Any]]:
-        """Return which options of its group, if the space has that, a key is checked with."""
+        """Return the group options that a key is checked with, if its group is in the space."""
         group = key.partition(".")[0]
         dimension = self.request.search.space.get(group)
         if group == key or dimension is None:
@@ -129,9 +129,9 @@ class Search:
         return open_study(self.folder, self.request.search, self.base, values, self._hash_options())
 
     def _hash_options(self) -> dict[str, str]:
-        """Return the run key with each option that trials choose from.
+        """Return a run key for each option that trials choose from.
 
-        It changes with the contents of the option's file.
+        The key changes with the contents of the option's file.
         """
         keys = {}
         for group, dimension in self.request.search.space.items():

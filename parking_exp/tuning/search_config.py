@@ -11,7 +11,7 @@ from parking_exp.config_model import Bounds, ConfigModel, Name
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
 
-DIGITS = 6  # of sampled numbers, so that configs stay readable
+DIGITS = 6  # sampled numbers are rounded, so that configs stay readable
 HYPERPARAMETERS = ("algorithm", "buffer", "env", "n_envs", "updates_per_step")
 """Keys that a space may have: these, and keys of these groups."""
 Value = bool | int | float | str | None | list[Any] | dict[str, Any]
@@ -114,7 +114,7 @@ class SearchConfig(ConfigModel):
         for key in self.space:
             if key.lstrip("+").partition(".")[0] not in HYPERPARAMETERS:
                 raise ValueError(
-                    f"space has {key}, which is no hyperparameter; it may have n_envs, "
+                    f"space has {key}, which is not a hyperparameter; it may have n_envs, "
                     "updates_per_step, and keys or options of algorithm, buffer and env (seeds "
                     "are in tuning_seeds)"
                 )

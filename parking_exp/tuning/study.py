@@ -175,7 +175,7 @@ def trial_lock_path(folder: Path, number: int) -> Path:
 def claim(
     opened: OpenStudy, search: SearchConfig, n_trials: int
 ) -> "tuple[Trial, FileLock] | None":
-    """Resume an abandoned trial or begin the next one, and hold its lock; None: none is left."""
+    """Resume an abandoned trial or begin the next one, and lock it; None if none is left."""
     import optuna
 
     study, storage, folder = opened
@@ -200,10 +200,11 @@ def claim(
 
 def _next_number(study: "Study", folder: Path, n_trials: int) -> int | None:
     """Return the number of an abandoned trial or of the next one; None: none is left."""
-    held = {number for number in range(n_trials) if is_held(trial_lock_path(folder, number))}
+    locks = {number: trial_lock_path(folder, number) for number in range(n_trials)}
+    locked_numbers = {number for number, path in locks.items() if is_held(path)}
     trials = study.trials[:n_trials]  # read after the locks: a trial may just have ended
     for trial in trials:
-        if trial.state.name == "RUNNING" and trial.number not in held:
+        if trial.state.name == "RUNNING" and trial.number not in locked_numbers:
             return trial.number
     return len(trials) if len(trials) < n_trials else None
 
@@ -216,7 +217,7 @@ def changes_of(trial: "Trial | FrozenTrial", space: Mapping[str, Dimension]) -> 
 
 
 def make_sampler(search: SearchConfig, seed: int) -> "BaseSampler":
-    """Return the sampler of a trial, whose seed is its own: a restart repeats no trial."""
+    """Return a sampler with the seed of one trial, so that a restart repeats no trial."""
     from optuna import samplers
     from optuna.exceptions import ExperimentalWarning
 

@@ -99,7 +99,7 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
         label = f"trial {entries['trial']}"
         write_plan(directory, config, label, state.started, **entries)
         result = train(directory.path)
-        if result == "stopped":
+        if result == "interrupted":
             return None
         if result == "elsewhere":  # another trial has the same config
             time.sleep(POLL_S)
@@ -112,7 +112,7 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
 
 
 def _may_succeed(state: RunState) -> bool:
-    """Return whether a run is not over, or failed for a reason that may be gone."""
+    """Return whether a run is unfinished, or failed for a reason that may be temporary."""
     if state.stage == "failed":
         return state.killed or DISK_FULL in (state.reason or "")
     return state.stage != "done"

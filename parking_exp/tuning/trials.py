@@ -77,7 +77,7 @@ class RetestedTrial:
 def read_trials(
     study: "Study", folder: Path, space: Mapping[str, Dimension], n_trials: int
 ) -> list[TrialRow]:
-    """Return trial 0 and those that have begun, of the first `n_trials`.
+    """Return the trials in the study, at most the first `n_trials`.
 
     Raises:
         StoreError: a trial is damaged, or has choices that its search lacks.

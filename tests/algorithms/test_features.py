@@ -44,7 +44,8 @@ def test_the_goal_in_the_cars_frame_its_speed_and_its_pose_in_the_lot(car, goal,
 
 def test_goal_features_do_not_depend_on_where_the_scene_lies():
     original = features(car=(0, 0, 0.4, 1), goal=(7, 3, 1.0))
-    turn, shift = 0.9, np.array([4.0, -2.0])
+    turn = 0.9
+    shift = np.array([4.0, -2.0])
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     goal = rotation @ [7, 3] + shift
     moved = features(car=(*shift, 0.4 + turn, 1), goal=(*goal, 1.0 + turn))

@@ -37,7 +37,9 @@ class Transitions:
     """
 
     def __init__(self, n_envs, seed=0, longest=7, offset=0):
-        self.n_envs, self.longest, self.offset = n_envs, longest, offset
+        self.n_envs = n_envs
+        self.longest = longest
+        self.offset = offset
         self.rng = np.random.default_rng(seed)
         self.episode, self.index = np.zeros(n_envs, int), np.zeros(n_envs, int)
         self.ends = {}  # (env, episode) -> index of the last transition, and how it ended

@@ -41,10 +41,14 @@ def test_rows_are_what_a_plain_loop_sees():
     env_config = compose("env.duration=6").env
     env = make_parking_env(env_config)
     env.reset(seed=1)
-    total, steps, done = 0.0, 0, False
+    total = 0.0
+    steps = 0
+    done = False
     while not done:
         _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0]))
-        total, steps, done = total + reward, steps + 1, terminated or truncated
+        total += reward
+        steps += 1
+        done = terminated or truncated
     straight_on = constant(1.0, 0.0)
     (row,) = evaluate_policy(straight_on, make_task(env_config), [1]).to_dict("records")
     assert (row["steps"], row["return"], row["outcome"]) == (

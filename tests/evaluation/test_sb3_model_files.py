@@ -115,7 +115,8 @@ def test_episodes_are_those_of_a_loop_in_gymnasium(trained, tmp_path):
     expected = []
     for scene in SCENES:
         observation, info = env.reset(seed=scene)
-        steps, total = 0, 0.0
+        steps = 0
+        total = 0.0
         done = False
         while not done:
             action, _ = model.predict(observation, deterministic=True)
@@ -201,7 +202,7 @@ def test_an_argument_that_is_pickled_has_to_be_passed(tmp_path):
     ("name", "content", "reason"),
     [
         ("data", b"{", "is damaged (Expecting property name"),
-        ("data", b"[]", "is damaged (data is no object)"),
+        ("data", b"[]", "is damaged (data is not a JSON object)"),
         ("data", b"[" * 100_000, "is damaged (maximum recursion depth exceeded"),
         ("policy_pth", b"", "is damaged ("),
         (None, b"no zip", "is damaged ("),

@@ -71,7 +71,8 @@ def test_a_report_has_a_page_tables_figures_and_every_number(made):
 def test_a_report_does_not_follow_links_out_of_the_output_directory(made, tmp_path_factory, link):
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     (elsewhere / "index.html").write_text("mine")
-    path, target = made / link, elsewhere / "file" if link.endswith(".lock") else elsewhere
+    path = made / link
+    target = elsewhere / "file" if link.endswith(".lock") else elsewhere
     path.parent.mkdir(parents=True, exist_ok=True)
     path.symlink_to(target)
     folder = made if link.count("/") < 2 else made / "reports" / "one"

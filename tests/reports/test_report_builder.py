@@ -310,7 +310,8 @@ def factorial(n_seeds=3, her=0.9):
     """A report on twelve cells: replay and HER, three algorithms, two values of gamma. Replay never
     succeeds.
     """
-    cells, rates = {}, {}
+    cells = {}
+    rates = {}
     for algorithm, gamma in product(("sac", "td3", "ddpg"), (0.9, 0.95)):
         keys = {"algorithm.name": algorithm, "algorithm.gamma": gamma}
         cells[f"her {algorithm} {gamma}"] = keys

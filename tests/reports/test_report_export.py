@@ -105,7 +105,9 @@ def test_an_export_of_some_cells_has_no_others(source, folder, tmp_path):
     assert selected.claims == report_of(read_report_export(str(folder)), **options).claims
     write_report_export(source, selected, tmp_path / "one", only_cells=True)
     export = read_report_export(str(tmp_path / "one"))
-    runs, curves, episodes = export.results.runs, export.results.curves, export.results.episodes
+    runs = export.results.runs
+    curves = export.results.curves
+    episodes = export.results.episodes
     assert set(runs["cell"]) == {cell.name for cell in selected.cells}
     assert len(runs) == 9
     assert set(curves["run_id"]) | set(episodes["run_id"]) <= set(runs["run_id"])

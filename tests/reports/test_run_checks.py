@@ -76,8 +76,10 @@ def test_a_rate_outside_0_to_1_is_left_out_with_a_sentence():
     frames = of_seeds(Run(columns={"success_rate": 1.7}), Run(), Run(curve=(0.2, -0.5, 0.6, 0.8)))
     report = build_report(frames, ["one"])
     assert report.cells[0].success.n == 2
-    assert "parking-sac seed=0: success_rate 1.7 is no rate, and is left out." in report.warnings
-    assert "parking-sac seed=2: success_rate -0.5 is no rate, and is left out." in report.warnings
+    assert "parking-sac seed=0: success_rate 1.7 is not a rate, and is left out." in report.warnings
+    assert (
+        "parking-sac seed=2: success_rate -0.5 is not a rate, and is left out." in report.warnings
+    )
     assert report.cells[0].curve.low == [0.2, 0.4, 0.6, 0.8]
 
 

@@ -142,7 +142,8 @@ def test_importance_takes_trials_that_differ(tmp_path):
 
 
 def test_retrained_trials_have_intervals_and_so_has_tuning_minus_test(folder, tmp_path):
-    tuned, test = [0.9, 0.8], [0.7, 0.6, 0.8]
+    tuned = [0.9, 0.8]
+    test = [0.7, 0.6, 0.8]
     folder.mkdir()
     write_retest(folder, (1, tuned, test), (0, [0.5, 0.4], [0.5, 0.4, 0.6]))
     whole = report(search=stored_search(folder, [trial(0.45), trial(0.85)]))

@@ -94,7 +94,8 @@ def test_frames_have_the_columns_and_types_of_the_schema(ablation):
 def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablation):
     output_dir, made = ablation
     runs = load("her", output_dir=output_dir).runs.set_index("run_id")
-    four, none = made["four", 0].run_id, made["none", 0].run_id
+    four = made["four", 0].run_id
+    none = made["none", 0].run_id
     assert runs.at[four, "config.buffer.n_sampled_goal"] == 4
     assert runs.at[none, "config.buffer.n_sampled_goal"] is None
     assert str(runs["config.algorithm.tau"].dtype) == "float64"

@@ -5,7 +5,10 @@ from gymnasium.spaces import Box, Dict
 
 from parking_exp.tasks.vectorized_task import VectorizedTask
 
-DIMENSIONS, TOLERANCE, STRIDE, STEPS = 4, 0.1, 0.25, 10
+DIMENSIONS = 4
+TOLERANCE = 0.1
+STRIDE = 0.25
+STEPS = 10
 CHANCE = STEPS * TOLERANCE**DIMENSIONS
 """Upper bound of the success rate of an agent that does not look at the goal: 0.1 %.
 

@@ -166,7 +166,8 @@ class IntegerActions(BitFlip):
 class NoReward(gym.Env):
     """`BitFlip`, without its `compute_reward`."""
 
-    observation_space, action_space = BitFlip.observation_space, BitFlip.action_space
+    observation_space = BitFlip.observation_space
+    action_space = BitFlip.action_space
 
     def __init__(self):
         self.bit_flip = BitFlip()
@@ -181,7 +182,8 @@ class NoReward(gym.Env):
 class RewardWrapper(gym.Wrapper):
     """`compute_reward` is on the wrapper, where Stable-Baselines3 finds it."""
 
-    compute_reward, compute_terminated = BitFlip.compute_reward, BitFlip.compute_terminated
+    compute_reward = BitFlip.compute_reward
+    compute_terminated = BitFlip.compute_terminated
 
 
 def wrapped_bit_flip():
@@ -207,7 +209,8 @@ class CloseFails(BitFlip):
 class Counted(BitFlip):
     """It counts how many of its kind there are at once."""
 
-    n_open, n_most = 0, 0
+    n_open = 0
+    n_most = 0
 
     def __init__(self):
         Counted.n_open += 1

@@ -24,3 +24,7 @@ class WritesJson(Tracker):
             file.write(json.dumps([call, *values]) + "\n")
         if call == self.fails_in:
             raise ConnectionError("no network")
+
+
+class LacksLog(Tracker):
+    """A tracker that can't record anything."""

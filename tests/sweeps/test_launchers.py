@@ -174,7 +174,8 @@ def test_a_job_that_slurm_refuses_cancels_those_before_it(tmp_path, fake):
 @pytest.mark.usefixtures("srun")
 def test_a_link_out_of_the_output_directory_is_refused_where_submitit_would_write(tmp_path):
     pytest.importorskip("submitit")
-    output_dir, elsewhere = tmp_path / "outputs", tmp_path / "elsewhere"
+    output_dir = tmp_path / "outputs"
+    elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     output_dir.mkdir()
     (output_dir / ".submitit").symlink_to(elsewhere)

@@ -57,7 +57,8 @@ def test_the_fork_server_imports_the_training_without_threads_cuda_or_mlflow():
 def test_runs_of_workers_equal_a_run_of_train_py(tmp_path, monkeypatch, start_method):
     """Two runs share a server, and with it the states of the random generators at the fork."""
     monkeypatch.setattr(local, "LOCAL_START_METHOD", start_method)
-    single, together = tmp_path / "single", tmp_path / "together"
+    single = tmp_path / "single"
+    together = tmp_path / "together"
     options = (*QUICK, "total_timesteps=200")
     for output_dir, seeds in ((single, ["seed=1"]), (together, ["seeds=2"])):
         call_script("train", *options, *seeds, f"output_dir={output_dir}", code=0)
@@ -162,7 +163,8 @@ def test_runs_whose_server_is_killed_end_and_the_next_sweep_resumes_them(tmp_pat
 
 def test_a_sweep_sends_checkpoints_while_its_runs_train_and_provenance_needs_no_store(tmp_path):
     """`Lingers` leaves time to look."""
-    stored, untracked = tmp_path / "stored", tmp_path / "untracked"
+    stored = tmp_path / "stored"
+    untracked = tmp_path / "untracked"
     process = begin(stored, *SLOW, *TWO, "tracking.mlflow=true", "total_timesteps=100000")
     wait_until(lambda: statuses_in_store(stored) == ["RUNNING", "RUNNING"])
     process.send_signal(signal.SIGINT)

@@ -293,7 +293,8 @@ def test_the_dense_reward_is_the_same_for_slots_of_all_angles(angle):
     # 3 m ahead of the slot's centre, 2 m to its left, turned by 0.3 rad, at 1 m/s.
     achieved = goal(4 + 3 * cos - 2 * sin, 5 + 3 * sin + 2 * cos, angle + 0.3, 1.0)
     dense, parked = reward(achieved, goal(4, 5, angle), np.array([8.0, 3.0]))
-    along, across = 0.34 * 0.03, 0.5 * 0.02
+    along = 0.34 * 0.03
+    across = 0.5 * 0.02
     speeds = 0.051 * 0.2 * (np.cos(0.3) + np.sin(0.3))
     headings = 0.0275 * (1 - np.cos(0.3) + np.sin(0.3))
     assert dense == pytest.approx(-np.sqrt(along + across + speeds + headings), abs=1e-12)

@@ -98,9 +98,9 @@ def test_features_have_the_symmetries_of_all_lots_and_the_largest_size():
     parts = [lot_of(compose(f"env=parking_{name}", "env.level=normal").env) for name in NAMES]
     assert lot.size_m == tuple(np.max([part.size_m for part in parts], axis=0))
     assert lot.nearest_row_m == min(part.nearest_row_m for part in parts)
-    assert (lot.turned, lot.handed, lot.same_walls) == (False, True, False)
+    assert (lot.is_turn_symmetric, lot.handed, lot.same_walls) == (False, True, False)
     alike = lot_of(env_config("~env.lots.angled", "~env.lots.dead_end"))
-    assert (alike.turned, alike.handed) == (True, False)
+    assert (alike.is_turn_symmetric, alike.handed) == (True, False)
     features = ParkingTask(env_config("env.level=normal")).features("ego_mirrored")[1]
     assert (features["turned"], features["handed"]) == (False, True)
     assert features["lot_size_m"] == lot.size_m

@@ -85,7 +85,8 @@ def test_success_of_parking_stop_means_parked():
 def test_a_sparse_step_costs_1_and_a_crash_the_collision_penalty_besides():
     env = make_parking_env(compose("env=parking_sparse").env)
     env.reset(seed=0)
-    rewards, terminated = [], False
+    rewards = []
+    terminated = False
     while not terminated:
         _, reward, terminated, _, info = env.step(np.array([1.0, 0.0]))
         rewards.append(reward)

@@ -184,7 +184,8 @@ def test_a_finished_run_has_its_success_rate_in_front_of_its_name(output_dir):
 
 
 def test_an_experiment_that_was_deleted_in_mlflow_is_named_by_all_commands(finished):
-    output_dir, client = finished.output_dir, store(finished.output_dir)
+    output_dir = finished.output_dir
+    client = store(output_dir)
     experiment_id = client.get_experiment_by_name("smoke").experiment_id
     client.delete_experiment(experiment_id)
     sentence = (

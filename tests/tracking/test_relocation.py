@@ -31,7 +31,8 @@ EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_nothing_else(
     tmp_path, move
 ):
-    old, new = tmp_path / "old", tmp_path / "new"
+    old = tmp_path / "old"
+    new = tmp_path / "new"
     run_script("train", "experiment=smoke", f"output_dir={old}", code=0)
     move(old, new)
     before = files_below(tmp_path / "old")

@@ -202,7 +202,8 @@ def test_batches_of_episodes_are_recorded_one_after_the_other(tmp_path, monkeypa
 
 
 def test_a_resumed_run_has_them_from_its_checkpoint(tmp_path):
-    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    whole = tmp_path / "whole"
+    pieces = tmp_path / "pieces"
     train(configured(whole))
     shutil.copytree(whole / "demonstrations", pieces / "demonstrations")
     with cut_at(240), pytest.raises(FailedRunError):

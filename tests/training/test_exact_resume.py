@@ -50,7 +50,8 @@ KINDS = {
 def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
     """All files and all numbers in the store are equal to the last bit, but for clocks."""
     arguments = ("evaluation.video_episodes=0", "checkpoint.every_n_steps=25", *KINDS[kind])
-    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    whole = tmp_path / "whole"
+    pieces = tmp_path / "pieces"
     run_script("train", *arguments, f"output_dir={whole}", code=0)
     lasted = seconds_of_training(only_run(whole))
     command, keywords = script("train", *arguments, f"output_dir={pieces}")

@@ -105,6 +105,14 @@ def test_a_tracker_that_raises_is_reported_once_and_stops_no_run(tmp_path, capsy
     assert calls(run.run_dir)[-1][0] == call
 
 
+def test_a_tracker_without_log_is_reported_when_the_run_starts(tmp_path, capsys):
+    train(config(tmp_path, "support.user_trackers.LacksLog"))
+
+    error = capsys.readouterr().err
+    assert "the tracker support.user_trackers.LacksLog failed (TypeError: " in error
+    assert "abstract method log" in error
+
+
 def test_trackers_work_in_the_processes_of_a_sweep(tmp_path):
     run_script(
         "train",

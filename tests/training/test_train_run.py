@@ -31,13 +31,14 @@ from parking_exp.algorithms.model_files import load_weights
 from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError, FailedRunError, RunLockedError
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.sweeps.single_run import train, ui_command
+from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
+from parking_exp.tracking.ui_addresses import ui_command
 from parking_exp.training import checkpoints, run_session, training_session
 from parking_exp.training.seeds import cross_checked_seeds
 
@@ -193,7 +194,8 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
 
 
 def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
-    path, config = smoke.path, smoke.config()
+    path = smoke.path
+    config = smoke.config()
     monitor = load_results(str(path))
     assert set(monitor.columns) >= {"r", "l", "t", "is_success", "crashed"}
     assert monitor["l"].max() == 11  # training_duration of 2 s

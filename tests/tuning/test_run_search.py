@@ -73,7 +73,8 @@ def test_trial_0_and_the_best_of_the_others_are_retested(n_retest, values, runs,
 
 def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_path):
     """Also with options from a user's directory whose name has a space."""
-    folder, out = tmp_path / "my conf", io.StringIO()
+    folder = tmp_path / "my conf"
+    out = io.StringIO()
     (folder / "algorithm").mkdir(parents=True)
     (folder / "algorithm" / "mine.yaml").write_text("defaults:\n  - sac\n  - _self_\ntau: 0.03\n")
     search = user_search(folder, ["algorithm=mine", f"output_dir={tmp_path / 'out'}"])

@@ -94,7 +94,7 @@ def test_a_stored_trial_with_a_choice_that_its_search_lacks_is_refused(tmp_path)
         ([*SMOKE, "buffer=her_future,her_final"], "one value for each key"),
         (
             [*SMOKE, "+search.space.output_dir={choices: [a]}"],
-            "space has output_dir, which is no hyperparameter",
+            "space has output_dir, which is not a hyperparameter",
         ),
         ([*SMOKE, "n_trials=1000000000"], "n_trials=1000000000: "),
     ],

@@ -60,7 +60,10 @@ def test_sampled_values_lie_within_both_ends_and_have_six_digits():
         ({"space": {}}, "space"),
         ({"space": {"algorithm.gamma": {"log": [0.99, 0.9]}}}, "space.algorithm.gamma"),
         ({"space": {"seed": {"int": [0, 5]}}}, "tuning_seeds"),
-        ({"space": {"+label": {"choices": [1]}}}, "space has +label, which is no hyperparameter"),
+        (
+            {"space": {"+label": {"choices": [1]}}},
+            "space has +label, which is not a hyperparameter",
+        ),
         ({"tuning_seeds": [1, 2], "test_seeds": [2, 3]}, "seed 2"),
     ],
 )

@@ -68,7 +68,7 @@ def test_a_failed_run_fails_its_trial_and_a_stopped_one_leaves_it_open(search):
     for trial in trials(search):
         assert (trial.state, trial.reason) == ("failed", "seed 1001: broken")
     more = Search([*search.overrides, "n_trials=3"])
-    run_trials(more, lambda path: "stopped")
+    run_trials(more, lambda path: "interrupted")
     more.save()
     assert trials(more)[2].state == "pending"
     run_trials(more, succeed)
@@ -107,7 +107,7 @@ def test_the_objective_is_the_normalised_area_under_the_success_curve(tmp_path):
 
 def test_results_that_were_deleted_end_the_search_and_deleting_their_run_mends_it(search):
     def stop_at_second_seed(path):
-        return "stopped" if path.name == "seed=1002" else succeed(path)
+        return "interrupted" if path.name == "seed=1002" else succeed(path)
 
     run_trials(search, stop_at_second_seed)
     path = search.base.output_path / trials(search)[0].runs[0]

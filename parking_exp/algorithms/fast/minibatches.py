@@ -34,9 +34,9 @@ class Minibatch(NamedTuple):
 def sample_minibatches(model: Any, steps: int, batch_size: int) -> Iterator[Minibatch]:
     """Sample the minibatches of `steps` updates, and yield them one by one.
 
-    `HerBuffer` samples transitions independently, so it is sampled once for all of them. It returns
-    real and virtual transitions one after the other, and then demonstrated ones. Dealt out in turn,
-    each minibatch has its share of them, to within one transition.
+    `HerBuffer` samples transitions independently, so one sample serves many updates. It has real
+    transitions first, then virtual ones, then demonstrated ones. They are dealt out in turn, so
+    each minibatch has its share of each kind, to within one transition.
     """
     for first in range(0, steps, MAX_MINIBATCHES):
         yield from _sample(model, min(MAX_MINIBATCHES, steps - first), batch_size)

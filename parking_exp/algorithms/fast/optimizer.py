@@ -11,8 +11,8 @@ class FlatTensors:
     """Tensors whose data are views of one vector, so that one operation updates them all.
 
     Tensors keep their identity, so code that reads, saves or loads them needs no change. Torch
-    rounds the tail of a vector, its length modulo 32, differently. Tensors of whole blocks come
-    first, so that every element is rounded as it would be in its own tensor.
+    rounds the last elements of a vector, beyond whole blocks of 32, differently. So tensors of
+    whole blocks come first: every element is then rounded as in its own tensor.
     """
 
     def __init__(self, tensors: Sequence[torch.Tensor]) -> None:

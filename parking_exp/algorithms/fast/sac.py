@@ -14,7 +14,7 @@ from parking_exp.algorithms.fast.mlp import MLP, tensors_of
 from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors
 
 LOG_SQRT_2_PI = math.log(math.sqrt(2 * math.pi))
-EPSILON = 1e-6  # of Stable-Baselines3's SquashedDiagGaussianDistribution
+EPSILON = 1e-6  # as in Stable-Baselines3's SquashedDiagGaussianDistribution
 
 
 class SACUpdate:
@@ -140,8 +140,9 @@ class _SquashedGaussian(NamedTuple):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the gradients by mean and raw log standard deviation, shape (n, actions) each.
 
-        `grad_action` is the loss's gradient by the actions without log_prob, shape (n, actions).
-        `grad_log_prob` is that by each log probability, one number.
+        `grad_action` is the gradient of the loss by the actions, without their effect on
+        `log_prob`, shape (n, actions). `grad_log_prob` is its gradient by each log probability, one
+            number.
         """
         actions, _, noise, raw_log_std, std, offset, double_variance = self
         density = 1 - actions**2 + EPSILON

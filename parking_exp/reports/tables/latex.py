@@ -13,9 +13,9 @@ from parking_exp.figure_style import clean
 from parking_exp.report_section import Column, Row, Table
 from parking_exp.reports.tables.table import move_constants_to_caption
 
-MAX_COLUMNS = 5  # of a table beside its first column; more make another table
-MAX_ROWS = 8  # of a table on one page
-MAX_LETTERS = 24  # of a text; columns with longer ones are not wider
+MAX_COLUMNS = 5  # beside the first; a wider table is split
+MAX_ROWS = 8  # a table with more may break across pages
+MAX_LETTERS = 24  # a longer text makes its column no wider
 BREAK = "\u200b"
 # A line of a long name may end after it.
 BREAKABLE = re.compile(r"([_=/,:]|[.-](?=\D)|[^\W_]{8})(?=\S)")
@@ -35,19 +35,19 @@ ESCAPED = str.maketrans(SPECIAL)
 
 
 def to_latex(table: Table) -> str:
-    """Return a table with the columns for a paper; a wide one as several tables."""
-    paper = replace(table, columns=[column for column in table.columns if column.paper])
-    readable = move_constants_to_caption(paper)
+    """Return a table as LaTeX; a wide table is split into several."""
+    columns = [column for column in table.columns if column.in_latex]
+    readable = move_constants_to_caption(replace(table, columns=columns))
     first, *others = readable.columns
     caption = readable.caption.translate(ESCAPED)
     parts = ["% \\usepackage{array,booktabs,longtable}\n"]
     for begin in range(0, max(1, len(others)), MAX_COLUMNS):
-        columns = [first, *others[begin : begin + MAX_COLUMNS]]
+        part = [first, *others[begin : begin + MAX_COLUMNS]]
         label = f"tab:{table.name}"
         if begin > 0:
             caption = "Continued."
             label += f"_{len(parts)}"
-        parts.append(_write_part(table.rows, columns, caption, label))
+        parts.append(_write_part(table.rows, part, caption, label))
     return "".join(parts)
 
 

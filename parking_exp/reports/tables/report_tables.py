@@ -28,25 +28,25 @@ def headline_table(report: ReportData) -> Iterator[Table]:
     """Yield the table of what each cell reached and what it cost."""
     columns = [
         cell_column(),
-        Column("Seeds", "seeds", of_row=_count_finished, given=True),
-        Column("Env steps", "total_timesteps", formats.number, given=True),
+        Column("Seeds", "seeds", of_row=_count_finished, is_condition=True),
+        Column("Env steps", "total_timesteps", formats.number, is_condition=True),
     ]
     for rate in _list_rates(report):
-        columns.append(interval_column(rate.heading, rate.name, paper=rate.name != "timeout"))
+        columns.append(interval_column(rate.heading, rate.name, in_latex=rate.name != "timeout"))
     columns += [
         Column(
             "IQM",
             "iqm",
             formats.percent,
             note="interquartile mean of success over seeds",
-            paper=False,
+            in_latex=False,
         ),
         Column(
             "Seeds ≥ 95 %",
             "reaching_95",
             of_row=_count_reaching_95,
             note="how many seeds ended at 95 % or above",
-            paper=False,
+            in_latex=False,
         ),
         Column(
             "Steps to hold 90 %",
@@ -58,7 +58,7 @@ def headline_table(report: ReportData) -> Iterator[Table]:
             STEPS.heading,
             STEPS.run_column,
             partial(formats.number, digits=1),
-            paper=False,
+            in_latex=False,
         ),
         Column("CPU (s)", "cpu_s", formats.number),
     ]
@@ -113,7 +113,7 @@ def seeds_table(report: ReportData) -> Iterator[Table]:
     for rate in _list_rates(report):
         columns.append(Column(rate.heading, rate.name, formats.percent))
     columns += [
-        Column("Episodes", "n_episodes", formats.number, given=True),
+        Column("Episodes", "n_episodes", formats.number, is_condition=True),
         Column("Steps to 90 %", "steps_to_90", formats.number),
         Column("CPU (s)", "cpu_s", formats.number),
         text_column("Run", "run_id"),
@@ -176,7 +176,10 @@ def pairs_table(report: ReportData) -> Iterator[Table]:
                 note="Mann and Whitney's test of the ranks of seeds, a second opinion",
             ),
             text_column(
-                "In words", "verdict", lambda verdict: formats.VERDICTS[verdict].table, paper=False
+                "In words",
+                "verdict",
+                lambda verdict: formats.VERDICTS[verdict].table,
+                in_latex=False,
             ),
         ],
         "Pairs of cells: difference of mean final success in percentage points, with simultaneous "
@@ -239,7 +242,7 @@ def _warn_of_missing_combinations(report: ReportData) -> str:
 
 
 def config_table(report: ReportData) -> Iterator[Table]:
-    """Yield the settings that differ: a row for each cell or, if fewer, for each setting."""
+    """Yield the settings that differ: a row for each cell, or each setting if these are more."""
     difference = report.provenance.difference
     if not difference:
         return
@@ -278,7 +281,7 @@ def versions_table(report: ReportData) -> Iterator[Table]:
         [
             text_column("What", "what"),
             text_column("Version", "version"),
-            Column("Runs", "runs", formats.number, given=True),
+            Column("Runs", "runs", formats.number, is_condition=True),
         ],
         "Versions, commits and machines.",
     )

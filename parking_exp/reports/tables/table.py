@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from parking_exp.figure_style import clean
-from parking_exp.report_section import Column, Row, Table, words
+from parking_exp.report_section import Column, Row, Table, plain_text
 from parking_exp.reports import formats
 from parking_exp.statistics import Interval, finite_or_none
 
@@ -15,15 +15,15 @@ WITH_INTERVALS = "with 95 % intervals over seeds in brackets"
 def move_constants_to_caption(table: Table) -> Table:
     """Return a table whose constant columns are in its caption instead.
 
-    These are conditions (`Column.given`) that are the same in every row, and columns in which
-    nothing is known. The caption also gets the notes on the other columns.
+    These are conditions (`Column.is_condition`) that are the same in every row, and columns in
+    which nothing is known. The caption also gets the notes on the other columns.
     """
     constants = ""
     columns = list(table.columns[:1])
     for column in table.columns[1:]:
         texts = {column.write(row) for row in table.rows}
         is_constant = len(table.rows) > 1 and len(texts) == 1
-        if is_constant and (column.given or texts == {""}):
+        if is_constant and (column.is_condition or texts == {""}):
             text = clean(texts.pop()) or "not known"
             constants += f" {column.title} in every row: {text}."
         else:
@@ -38,7 +38,7 @@ def move_constants_to_caption(table: Table) -> Table:
 def row_of(item: Any, without: Collection[str] = ()) -> dict[str, Any]:
     """Return the fields of a dataclass, or entries of a mapping, as columns of a row.
 
-    An interval becomes NAME, NAME_low and NAME_high. Everything else that is no single value is
+    An interval becomes NAME, NAME_low and NAME_high. Everything else that is not a single value is
     left out.
     """
     row: dict[str, Any] = {}
@@ -59,23 +59,23 @@ def spread(name: str, interval: Interval) -> dict[str, float | None]:
 
 
 def text_column(
-    title: str, key: str, form: Callable[[Any], str] = words, *, paper: bool = True
+    title: str, key: str, to_text: Callable[[Any], str] = plain_text, *, in_latex: bool = True
 ) -> Column:
     """Return a column of one text of each row."""
-    return Column(title, key, form, numeric=False, paper=paper)
+    return Column(title, key, to_text, numeric=False, in_latex=in_latex)
 
 
 def cell_column(title: str = "Cell", id_key: str = "cell", label: str = "label") -> Column:
     """Return the column of the labels of cells."""
-    return Column(title, label, numeric=False, id_key=id_key, given=True)
+    return Column(title, label, numeric=False, id_key=id_key, is_condition=True)
 
 
 def interval_column(
     title: str,
     key: str,
-    form: Callable[[Interval], str] = formats.percent_interval,
+    to_text: Callable[[Interval], str] = formats.percent_interval,
     *,
-    paper: bool = True,
+    in_latex: bool = True,
 ) -> Column:
     """Return a column of a number with its interval, by default a rate in per cent."""
 
@@ -84,4 +84,4 @@ def interval_column(
         value, low, high = [finite_or_none(row.get(name)) for name in names]
         return Interval(value, low, high)
 
-    return Column(title, key, form, find_interval, paper=paper)
+    return Column(title, key, to_text, find_interval, in_latex=in_latex)

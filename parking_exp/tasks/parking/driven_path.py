@@ -13,16 +13,16 @@ from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.task import EvaluationBatch, Observation, Step
 
 STANDING_MPS = 0.1
-"""A car that is slower has no gear, so that trembling at rest does not count."""
+"""A slower car keeps its gear, so that trembling at rest does not count."""
 
 REAR_AXLE_M = CAR_LENGTH_M / 2  # behind the middle of highway-env's car
 
 
 class DrivenBatch(EvaluationBatch):
-    """Episodes of parking whose `info` also tells how the car was driven.
+    """Episodes of parking whose `info` also describes the driven path.
 
-    Paths are driven by the middle of the rear axle, which moves in the direction of the heading.
-    They are straight between policy steps.
+    It is the path of the middle of the rear axle, which moves in the direction of the heading.
+    Between policy steps, it is assumed to be straight.
 
     Args:
         batch: the episodes; their first six observations are the car's pose.

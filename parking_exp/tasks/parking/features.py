@@ -21,10 +21,9 @@ X_SCALE, Y_SCALE = map(float, DEFAULT_SCALES[:2])  # metres per unit of the obse
 class EgoFrameExtractor(TaskFeatures):
     """Goal, speed and pose as the car sees them, from parking-v0's Dict observation.
 
-    In the raw observation a slot's tolerance is about 1 % of the input's range; in the car's own
-    frame, and in units of 10 m, the policy can see it. The features are computed inside the policy,
-    from `observation` and `desired_goal`, so goals that HER relabels pass through them like any
-    other.
+    In the raw observation, a slot's tolerance is about 1 % of the input's range. The car's own
+    frame and units of 10 m make it visible to the policy. The policy computes the features from
+    `observation` and `desired_goal`, so they also apply to goals that HER relabels.
 
     Other vehicles and rays that the observation shows come last, in the car's frame, too.
 
@@ -216,11 +215,11 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
 class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     """Fine ego-frame features, mirrored so that the goal is never to the right of the car.
 
-    Most lots that are mirrored, x to -x, are the same but for the sign of the steering. Networks
-    then learn one of two mirror images; the policies in `mirrored_policies` turn the steering
-    around with them. In a `handed` lot, networks also see which of the two it is.
+    Mirroring most lots, x to -x, only changes the sign of the steering. So networks learn one of
+    two mirror images, and the policies in `mirrored_policies` reverse the steering where a scene
+    is mirrored. In a `handed` lot, networks also see which of the two images it is.
 
-    Output: as `FineEgoFrameExtractor`'s; if the goal is to the right, all lateral features have the
+    Output: as `FineEgoFrameExtractor`'s. If the goal is to the right, all lateral features have the
     other sign, and rays the opposite order. In a handed lot, a last feature is 1, or -1 if the
     goal is to the right.
 
@@ -232,7 +231,7 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     """
 
     ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
-    ACROSS_OF_VEHICLE = (2, 4, 6, 8)  # of each vehicle
+    ACROSS_OF_VEHICLE = (2, 4, 6, 8)  # the same, for each vehicle
 
     mirror_signs: torch.Tensor
     mirror_order: torch.Tensor

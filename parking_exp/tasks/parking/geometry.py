@@ -28,19 +28,19 @@ N_SLOTS = len(SLOT_HEADINGS)
 SLOT_POSES = np.concatenate([SLOT_POSITIONS, SLOT_HEADINGS[:, None]], axis=1)  # (28, 3)
 
 # The walls are the sides of a box around the origin, in highway-env's order: below, above, left,
-# right. Each is a rectangle, one metre thick. These are the directions in which they are, their
-# headings, and whether they are as long as the length of the box (0) or as its width (1).
+# right. Each is a rectangle, one metre thick. WALL_SIDES are their directions from the origin.
+# WALL_ALONG is 0 for a wall along the length of the box, and 1 for a wall along its width.
 WALL_SIDES = np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
 WALL_HEADINGS = np.array([0.0, 0.0, np.pi / 2, np.pi / 2])
 WALL_ALONG = np.array([0, 0, 1, 1])
 N_WALLS = len(WALL_ALONG)
 
-OBSTACLE_M = 2.0  # of highway-env's obstacles, which are squares
+OBSTACLE_M = 2.0  # highway-env's obstacles are squares
 OBSTACLE_SIZE_M = (OBSTACLE_M, OBSTACLE_M)
 
 TINY_M = 1e-6  # far above the rounding of positions
 
-# Of the corners of a rectangle, in its length and its width.
+# Where the corners of a rectangle are, as shares of its length and its width.
 ALONG = np.array([-0.5, -0.5, 0.5, 0.5])
 ACROSS = np.array([-0.5, 0.5, 0.5, -0.5])
 

@@ -78,7 +78,7 @@ def _make_pose_env(config: ParkingConfig, render_mode: str | None) -> gym.Env:
 
 
 def skip_unused_work(env: gym.Env) -> None:
-    """Leave out what takes 80 % of highway-env's time and changes no episode, until the next reset.
+    """Skip work that takes 80 % of highway-env's time but changes no episode, until a reset.
 
     Four times a step, highway-env makes two data frames to read the poses of a car and of its goal.
     Three times a step, it looks up the lane of each car, which parking does not use. Motion,

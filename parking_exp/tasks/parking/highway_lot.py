@@ -28,8 +28,8 @@ from parking_exp.tasks.parking.scenes import MOST_SCENES, NO_SLOT, Scenes, scene
 AISLE_M = np.array([33.0, 8.5])
 START_M = 6.0  # distance from the middle of the lot, where the car starts
 
-# Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it
-# up; its heading.
+# In each row, one slot is the first of those nearest to the origin. These are its number,
+# heading and distance from the origin, which highway-env adds up.
 _START_SLOTS = tuple(
     int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_PER_ROW, 0])))
     for row in (0, SLOTS_PER_ROW)
@@ -60,7 +60,7 @@ class HighwayLot:
     nearest_row_m = ROW_Y_M
     size_m = (LOT_LENGTH_M, LOT_WIDTH_M)
     same_walls = True
-    turned = True
+    is_turn_symmetric = True
     handed = False
 
     def from_seeds(self, seeds: Sequence[int]) -> Scenes:
@@ -143,9 +143,9 @@ def start_slot(heading: np.ndarray) -> np.ndarray:
 
 
 def sample_vehicles_count(bit_generator: Any, low: int, high: int) -> int:
-    """Return a scene's number of vehicles, uniform in low ... high; its generator stays as it is.
+    """Sample a scene's number of vehicles, uniform from low to high.
 
-    The number is sampled by the scene's generator, jumped once: `env.reset(seed=s)` has
+    A copy of the scene's generator, jumped once, samples the number: `env.reset(seed=s)` has
     `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
     """
     if low == high:

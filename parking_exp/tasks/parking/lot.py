@@ -53,21 +53,24 @@ class SampledLot(ABC):
 class ParametricLot(SampledLot):
     """Rows of slots along an aisle; see `LotConfig`.
 
-    The numbers of a scene choose, in this order, length and width of the slots, width of the aisle;
-    x, y and heading of the start; the goal; the number of parked cars; one for each slot the order
-    in which cars take the slots, lowest first; and, where they are ranges, angle, pitch and end of
-    the aisle.
+    The numbers of a scene choose, in this order:
+
+    - length and width of the slots, width of the aisle
+    - x, y and heading of the start
+    - the goal, then the number of parked cars
+    - one for each slot: cars take the slots in the order of these numbers, lowest first
+    - angle, pitch and end of the aisle, where they are ranges
     """
 
     def __init__(self, config: LotConfig, vehicles_range: tuple[int, int]) -> None:
         self.config = config
         self.vehicles_range = vehicles_range
-        self.turned = config.turned
+        self.is_turn_symmetric = config.is_turn_symmetric
         self.handed = config.handed
         lowest, highest = config.ranges
         is_range = lowest < highest
         is_range[:N_FIRST] = False
-        self._sampled_last = np.flatnonzero(is_range)  # of `LotDimensions`
+        self._sampled_last = np.flatnonzero(is_range)  # columns of `LotDimensions`
         n_of_parts = (N_FIRST, 3, 2, config.n_slots, len(self._sampled_last))
         self._part_ends = np.cumsum(n_of_parts)
         self.n_draws = int(self._part_ends[-1])
@@ -92,7 +95,7 @@ class ParametricLot(SampledLot):
         """Return the scenes of numbers in [0, 1), shape (n, n_draws)."""
         n = len(draws)
         parts = np.split(draws, self._part_ends[:-1], axis=1)
-        first, starts, goal_and_n_cars, order, sampled_last = parts
+        first, starts, goal_and_n_cars, priorities, sampled_last = parts
         shares = np.zeros((n, len(DIMENSIONS)))
         shares[:, :N_FIRST] = first
         shares[:, self._sampled_last] = sampled_last
@@ -108,7 +111,7 @@ class ParametricLot(SampledLot):
         return Scenes(
             start=start,
             goal=goal,
-            vehicles=self._taken(order, goal, n_cars),
+            vehicles=self._choose_taken_slots(priorities, goal, n_cars),
             obstacles=np.zeros((n, 0, 2)),
             slots=slots,
             slot_size=np.stack([dimensions.slot_length_m, dimensions.slot_width_m], axis=1),
@@ -147,15 +150,17 @@ class ParametricLot(SampledLot):
             slots[..., 2] += np.pi
         return slots, box, middle
 
-    def _taken(self, order: np.ndarray, goal: np.ndarray, n_cars: np.ndarray) -> np.ndarray:
+    def _choose_taken_slots(
+        self, priorities: np.ndarray, goal: np.ndarray, n_cars: np.ndarray
+    ) -> np.ndarray:
         """Return the slots of parked cars, shape (n, most cars), NO_SLOT beyond `n_cars`."""
-        order = order.copy()
-        rows = np.arange(len(order))
+        priorities = priorities.copy()
+        rows = np.arange(len(priorities))
         if self.config.neighbours == "taken":
-            order[rows, goal - 1] = -2.0
-            order[rows, goal + 1] = -1.0
-        order[rows, goal] = 1.0
-        taken = np.argsort(order, axis=1, kind="stable")[:, : self.vehicles_range[1]]
+            priorities[rows, goal - 1] = -2.0
+            priorities[rows, goal + 1] = -1.0
+        priorities[rows, goal] = 1.0
+        taken = np.argsort(priorities, axis=1, kind="stable")[:, : self.vehicles_range[1]]
         taken[np.arange(taken.shape[1]) >= n_cars[:, None]] = NO_SLOT
         return taken
 
@@ -178,7 +183,7 @@ class SeveralLots(SampledLot):
         width = max(lot.size_m[1] for lot in lots)
         self.size_m = (length, width)
         self.same_walls = False
-        self.turned = all(lot.turned for lot in lots)
+        self.is_turn_symmetric = all(lot.is_turn_symmetric for lot in lots)
         self.handed = any(lot.handed for lot in lots)
 
     def scenes(self, draws: np.ndarray) -> Scenes:
@@ -214,20 +219,20 @@ Lot = HighwayLot | ParametricLot | SeveralLots
 
 vehicles_range: the lowest and the highest number of parked cars.
 size_m: length and width of the largest box.
-nearest_row_m: no slot's centre is nearer to the middle of the lot, in y.
+nearest_row_m: lower bound of the distance in y from the middle of the lot to a slot's centre.
 same_walls: whether all scenes have the same walls.
-turned: whether the lot equals itself when it is turned by 180 degrees.
+is_turn_symmetric: whether the lot equals itself when it is turned by 180 degrees.
 handed: whether it differs from its mirror image.
 """
 
 
 def lot_of(config: ParkingConfig) -> Lot:
-    """Return the lot of an `env` group, or its lots in one."""
+    """Return the lot of an `env` group; several lots are combined into one."""
     return make_lot(config.lot_configs.values(), config.vehicles_count, config.obstacles)
 
 
 def make_lot(configs: Iterable[LotConfig], vehicles_count: Any, n_obstacles: int = 0) -> Lot:
-    """Return the lot of one config, one lot of several, or highway-env's own for none.
+    """Combine the lots of some configs into one; without configs, return highway-env's lot.
 
     `vehicles_count` and `n_obstacles` are the env's.
     """

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from parking_exp.config_model import Bounds, ConfigModel
+from parking_exp.config_model import Bounds, ConfigModel, equals
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, direction_of, extent
 
 TINY = 1e-9
@@ -25,7 +25,7 @@ def bounds(value: Any) -> tuple[Any, Any]:
 
 
 def _sampled(lowest: float, highest: float, sentence: str) -> AfterValidator:
-    """Return the validator of a number, or of the lowest and the highest that scenes sample."""
+    """Return a validator of a number or a range [lowest, highest] that scenes sample from."""
 
     def check(value: Any) -> float | list[float]:
         low, high = bounds(value)
@@ -49,10 +49,6 @@ def _check_vehicles_count(value: Any) -> Any:
     if not (type(low) is type(high) is int and 0 <= low <= high):
         raise ValueError("give a number of cars, or the lowest and the highest: [0, 20]")
     return value
-
-
-def _is_missing(value: Any) -> bool:
-    return value is None
 
 
 LENGTH = "give a length of at most 1000 m, or the lowest and the highest: [6, 7]"
@@ -120,7 +116,7 @@ class LotConfig(ConfigModel):
     The keys of `LotDimensions` may be ranges, from which each scene samples its own dimensions.
     """
 
-    angle_deg: Angle  # of the slots to the aisle
+    angle_deg: Angle  # between the slots and the aisle
     slot_length_m: Length
     slot_width_m: Length
     aisle_width_m: Length
@@ -128,13 +124,13 @@ class LotConfig(ConfigModel):
     pitch_m: Length | None = None
     slots_per_row: Annotated[int, Field(ge=1, le=100)]
     rows: Literal[1, 2]
-    end_m: End  # of the aisle, beyond the rows
+    end_m: End  # length of the aisle beyond the rows
     dead_end: bool
     heading: Literal["in", "out"]
     neighbours: Literal["any", "taken"]
     starts: StartsConfig
     # None: the env's own number. Left out of stored configs then.
-    vehicles_count: Annotated[VehiclesCount, Field(exclude_if=_is_missing)] = None
+    vehicles_count: Annotated[VehiclesCount, Field(exclude_if=equals(None))] = None
 
     @property
     def n_slots(self) -> int:
@@ -142,7 +138,7 @@ class LotConfig(ConfigModel):
         return self.rows * self.slots_per_row
 
     @property
-    def turned(self) -> bool:
+    def is_turn_symmetric(self) -> bool:
         """Whether the lot equals itself when it is turned by 180 degrees."""
         return self.rows == 2 and not self.dead_end
 
@@ -170,8 +166,8 @@ class LotConfig(ConfigModel):
         """Return the dimensions of n scenes.
 
         Args:
-            shares: how far they are from the lowest value, 0, to the highest, 1. Shape (n, 6), or
-                (n, 1) if they are the same for all dimensions.
+            shares: their places in their ranges, from 0 (lowest) to 1 (highest). Shape (n, 6), or
+                (n, 1) if all dimensions have the same place.
         """
         low, high = self.ranges
         dimensions = low + shares * (high - low)
@@ -183,8 +179,8 @@ class LotConfig(ConfigModel):
         _, width = bounds(self.slot_width_m)
         diagonal = np.degrees(np.arctan2(width, length))
         # Rows and the closest pitch are longest where a diagonal of the slots is along the aisle.
-        # Slots are deepest where it is across. Away from these angles all of them only shrink, so
-        # they are smallest at an end of the range. With all other dimensions they only grow.
+        # Slots are deepest where a diagonal is across. Away from these angles, all three shrink, so
+        # each is smallest at an end of the range. All three grow with every other dimension.
         angles = np.clip([0.0, diagonal, 90.0 - diagonal, 90.0], *bounds(self.angle_deg))
         shares = np.repeat([0.0, MAX_SHARE], len(angles))
         dimensions = self.dimensions(shares[:, None])

@@ -28,7 +28,7 @@ from parking_exp.tasks.parking.scenes import Scenes
 
 DRAWN_OUTCOMES = (SUCCESS, TIMEOUT, CRASH)
 """In the order in which their paths are drawn: crashes are on top."""
-OUTLINE = {"edgecolors": GRID, "linewidths": 0.4}  # of slots
+OUTLINE = {"edgecolors": GRID, "linewidths": 0.4}  # the style of slots
 WALL = "#808286"
 
 

@@ -12,8 +12,9 @@ from parking_exp.tasks.parking.sensor_wrapper import SensorWrapper
 from parking_exp.tasks.reset_rng import reset_rng
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
-"""Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the
-axes of the lot.
+"""Entries of each vehicle, with highway-env's names and scales.
+
+x and y are relative to the car, along the axes of the lot.
 """
 
 
@@ -22,7 +23,7 @@ def nearest_vehicles(
 ) -> np.ndarray:
     """Return each car's nearest vehicles, nearest first, shape (n, count * len(ENTRIES)).
 
-    Where there are fewer than `count`, all entries of the others are 0.
+    If there are fewer than `count` vehicles, the remaining entries are 0.
 
     Args:
         position: positions of the cars, shape (n, 2) [m].

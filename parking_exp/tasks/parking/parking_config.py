@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from operator import not_
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from omegaconf import OmegaConf
 from pydantic import Field, PositiveFloat, model_validator
 
-from parking_exp.config_model import Bounds, ConfigModel, Duration, Pixels, Range
+from parking_exp.config_model import Bounds, ConfigModel, Duration, Pixels, Range, equals
 from parking_exp.tasks.parking.lot_config import LotConfig, VehiclesCount, bounds
 from parking_exp.tasks.task_config import TaskConfig
 
@@ -32,7 +31,7 @@ OUR_KEYS = {
     "levels",
 }
 OUR_OBSERVATION_KEYS = {"vehicles_count", "rays", "rays_range_m"}
-RAYS_RANGE_M = 10.0  # of the config and of the wrapper, unless another is given
+RAYS_RANGE_M = 10.0  # the default of the config and of the wrapper
 MAX_VEHICLES = 26  # slots but for those of start and goal
 
 
@@ -46,8 +45,8 @@ class ObservationConfig(ConfigModel):
     normalize: bool
     vehicles_count: Annotated[int, Field(ge=0, le=100)] = 0
     # Left out of stored configs and of the names of evaluations where they are the defaults.
-    rays: Annotated[int, Field(ge=0, le=360, exclude_if=not_)] = 0
-    rays_range_m: Annotated[float, Field(gt=0, le=1000, exclude_if=RAYS_RANGE_M.__eq__)] = (
+    rays: Annotated[int, Field(ge=0, le=360, exclude_if=equals(0))] = 0
+    rays_range_m: Annotated[float, Field(gt=0, le=1000, exclude_if=equals(RAYS_RANGE_M))] = (
         RAYS_RANGE_M
     )
 
@@ -112,11 +111,13 @@ class ParkingConfig(TaskConfig):
     training_success_goal_reward: PositiveFloat | None
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
     # None: highway-env's own lot. Left out of stored configs then.
-    lot: Annotated[LotConfig | None, Field(exclude_if=not_)] = None
-    # Each scene is on one of these. They are complete, and `lot` is None. Left out likewise.
-    lots: Annotated[dict[LotName, LotConfig] | None, Field(exclude_if=not_)] = None
+    lot: Annotated[LotConfig | None, Field(exclude_if=equals(None))] = None
+    # Each scene is on one of these lots, and `lot` is None. Left out of stored configs if None.
+    lots: Annotated[dict[LotName, LotConfig] | None, Field(exclude_if=equals(None))] = None
     # `lot` takes its numbers from one of the levels, by interpolation.
-    level: Annotated[str | None, Field(exclude_if=not_)] = None
+    level: Annotated[Annotated[str, Field(min_length=1)] | None, Field(exclude_if=equals(None))] = (
+        None
+    )
     levels: Annotated[dict[str, dict[str, Any]] | None, Field(exclude=True)] = None
 
     observation: ObservationConfig
@@ -127,7 +128,7 @@ class ParkingConfig(TaskConfig):
     success_goal_reward: PositiveFloat
     collision_reward: float
     # Left out of stored configs where it is the default.
-    standing_reward: Annotated[float, Field(le=0, exclude_if=not_)] = 0.0
+    standing_reward: Annotated[float, Field(le=0, exclude_if=equals(0.0))] = 0.0
     steering_range: PositiveFloat
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
     # episode_steps() counts duration x policy_frequency steps.
@@ -149,7 +150,7 @@ class ParkingConfig(TaskConfig):
     @model_validator(mode="before")
     @classmethod
     def _complete_lots(cls, data: Any) -> Any:
-        """Complete each of several lots by what they share, which is `lot`."""
+        """Complete each of the `lots` by the keys that they share, which are in `lot`."""
         if not isinstance(data, Mapping) or "lots" not in data:
             return data
         lots = data["lots"]
@@ -239,8 +240,9 @@ class ParkingConfig(TaskConfig):
             yield from lot.problems(key, vehicles, walls=self.add_walls)
 
     def change_problems(self, changes: Mapping[str, Any]) -> Iterator[str]:
-        """Yield what is wrong with changes of keys that a stored run does not have: the numbers of
-        other levels, and what its lots share.
+        """Yield a sentence for each change of a key that a stored run does not have.
+
+        It has neither the numbers of other levels nor the section that its lots shared.
         """
         if "level" in changes:
             yield (

@@ -25,7 +25,7 @@ def _time_to_park(episode: Episode) -> float:
 
 
 def _path_efficiency(episode: Episode) -> float:
-    """Return the share of the driven path that the shortest one has; NaN without success."""
+    """Return the length of the shortest path divided by the driven one; NaN without success."""
     driven_m = episode.info["path_m"]
     if episode.outcome != "success" or driven_m == 0:
         return math.nan

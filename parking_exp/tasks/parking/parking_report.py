@@ -31,12 +31,12 @@ def _scenes(lot: Lot, seeds: tuple[int, ...]) -> Scenes:
 def outcome_rates(
     episodes: pd.DataFrame, key: str, numbers_of_scenes: Mapping[int, int]
 ) -> list[dict[str, Any]]:
-    """Return the rates of outcomes over final episodes (scene, outcome), by a number of the scene.
+    """Return the rates of outcomes of final episodes, grouped by a number of their scene.
 
     Args:
-        episodes: the final episodes of all runs.
-        key: the name of that number.
-        numbers_of_scenes: the number of each scene.
+        episodes: the final episodes of all runs (scene, outcome).
+        key: the name of the number, such as `slot`.
+        numbers_of_scenes: the number of each scene, such as its goal slot.
 
     Returns:
         A row for each number, ascending: the number by its name, `n` episodes, and a rate for each
@@ -91,12 +91,12 @@ def figure_data(paths: pd.DataFrame, config: Mapping[str, Any]) -> DrawnLot | No
         return None
     typical = lot.typical()
     columns = [EPISODE_SEED, "step", "outcome", *PATH_COLUMNS]
-    on_lot = paths.reindex(columns=columns).dropna(ignore_index=True)
-    numbers, seeds = pd.factorize(on_lot[EPISODE_SEED])
+    paths_on_lot = paths.reindex(columns=columns).dropna(ignore_index=True)
+    numbers, seeds = pd.factorize(paths_on_lot[EPISODE_SEED])
     scenes = lot.from_seeds(seeds.tolist())
-    moves = typical.slots[0, scenes.goal] - scenes.goal_pose
-    on_lot[["x_m", "y_m"]] += moves[numbers, :2]
-    return DrawnLot(typical, config.get("env.add_walls", True), on_lot)
+    offsets = typical.slots[0, scenes.goal] - scenes.goal_pose
+    paths_on_lot[["x_m", "y_m"]] += offsets[numbers, :2]
+    return DrawnLot(typical, config.get("env.add_walls", True), paths_on_lot)
 
 
 def _list_rates(name: str, report: Any) -> Iterator[Table]:

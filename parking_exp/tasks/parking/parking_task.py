@@ -31,7 +31,7 @@ class ParkingTask(Task):
 
     def __init__(self, config: ParkingConfig) -> None:
         self.config = config
-        self._envs: list[gym.Env] = []  # of the batch on highway-env that was started last
+        self._envs: list[gym.Env] = []  # the latest batch on highway-env
 
     @property
     def frame_rate(self) -> int:
@@ -96,7 +96,7 @@ class ParkingTask(Task):
         }
         if name != "ego":
             arguments["reward_weights"] = list(self.config.reward_weights)
-            arguments["turned"] = lot.turned
+            arguments["turned"] = lot.is_turn_symmetric
         if name == "ego_mirrored":
             arguments["handed"] = lot.handed
         return EXTRACTORS[name], arguments

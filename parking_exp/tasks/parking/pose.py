@@ -22,7 +22,7 @@ PARKED_SPEED_MPS = 0.5
 class PoseInSlot:
     """The car relative to its goal slot."""
 
-    ahead_m: float  # of the car's centre, in the slot's frame
+    ahead_m: float  # position of the car's centre in the slot's frame
     side_m: float
     heading_error_rad: float  # in [-pi, pi)
     speed_mps: float  # signed

@@ -16,9 +16,9 @@ TEMPLATE = Path(__file__).parent / "templates" / "replay.html.j2"
 OUTCOME_ORDER = ("crash", "timeout", "success")
 """The order of episodes on the page."""
 
-# Each series is stored in whole numbers of a unit, in m, rad, m/s and m/s². What is smooth is
-# stored as differences, or as differences of differences: small numbers, which compress well.
-# Controls may jump, so they are stored as they are.
+# Unit of each series [m, rad, m/s, m/s²], and how often differences are taken. A series is stored
+# in whole numbers of its unit. Differences of smooth series are small numbers, which compress
+# well. Controls may jump, so they are stored as they are.
 FORMATS = {
     "x": (0.01, 2),
     "y": (0.01, 2),

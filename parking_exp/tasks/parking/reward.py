@@ -50,10 +50,10 @@ class ParkingReward(GoalReward):
 class LotReward(ParkingReward):
     """The reward of other lots than highway-env's, in the slot's frame; success is `parked`.
 
-    The weights are of the distances along and across the slot, of the velocities along and across
-    it, and of 1 minus the cosine and the sine of the heading relative to the slot. So slots of all
-    angles mean the same. Where the car is not parked, `standing_reward` is added in full to a step
-    that ends at a speed of 0, and less of it up to 0.5 m/s.
+    The six weights are for the distances along and across the slot, the velocities along and across
+    it, and 1 minus the cosine, and the sine, of the heading relative to the slot. So the angle of a
+    slot does not matter. A car that is not parked gets `standing_reward` at a speed of 0. It gets
+    less at higher speeds, and nothing from 0.5 m/s on.
     """
 
     info_keys = ("slot_length_m", "slot_width_m")
@@ -95,9 +95,10 @@ class LotReward(ParkingReward):
         return reward, parked
 
     def _standing_reward(self, achieved: np.ndarray) -> np.ndarray:
-        """Return what standing adds, shape (...).
+        """Return the reward for standing, shape (...).
 
-        The car's own speed counts. A virtual goal may move, and a car that moves with it drives.
+        It depends on the car's own speed, not on its speed relative to a virtual goal, which may
+        move.
         """
         vx, vy = np.moveaxis(achieved[..., 2:4], -1, 0)
         speed_mps = np.sqrt(vx * vx + vy * vy) * DEFAULT_SCALES[2]

@@ -9,11 +9,11 @@ from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
 
 def scene_shapes(scenes: Scenes, row: int, *, walls: bool) -> dict[str, np.ndarray]:
-    """Return the rectangles of one scene at its start by name; without walls, there are none.
+    """Return the rectangles of one scene at its start, by name.
 
     Each is x and y of its centre, its heading, length and width [m, m, rad, m, m]. `car` and
     `goal`, its slot, have the shape (5,). `slots`, `parked_cars`, `walls` and `obstacles` have the
-    shape (n, 5).
+    shape (n, 5). If `walls` is False, there are no walls in the result.
     """
     slots = _with_sizes(scenes.slots[row], scenes.slot_size[row])
     cars = scenes.vehicle_pose[row][scenes.vehicles[row] != NO_SLOT]

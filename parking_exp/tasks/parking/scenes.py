@@ -6,7 +6,7 @@ import numpy as np
 
 from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 
-NO_SLOT = -1  # of a car that is absent, where a scene has fewer than others
+NO_SLOT = -1  # the slot of an absent car, where a scene has fewer than others
 FAR_M = 1e6  # cars farther away than this count as absent
 MOST_SCENES = 10**7  # in a batch: what is equal in all scenes is a view of this length
 
@@ -14,7 +14,7 @@ MOST_SCENES = 10**7  # in a batch: what is equal in all scenes is a view of this
 def scene_rng(seed: int) -> np.random.Generator:
     """Return the generator that `env.reset(seed=seed)` samples a scene from.
 
-    It is what gymnasium's `np_random(seed)` makes. Reports draw lots, and do not import gymnasium.
+    It equals the generator of gymnasium's `np_random(seed)`. Reports use it without gymnasium.
     """
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
 

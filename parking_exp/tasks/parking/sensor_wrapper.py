@@ -1,5 +1,6 @@
 """Base of wrappers that append what a sensor measures to the observation."""
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import gymnasium as gym
@@ -7,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 
-class SensorWrapper(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
+class SensorWrapper(gym.ObservationWrapper, gym.utils.RecordConstructorArgs, ABC):
     """Base of wrappers that append a sensor's measurements to `observation` of a parking env of
     highway-env.
 
@@ -28,12 +29,12 @@ class SensorWrapper(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
         entries = np.concatenate([observation["observation"], self.measure()])
         return observation | {"observation": entries}
 
+    @abstractmethod
     def measure(self) -> np.ndarray:
         """Return the measurements, shape (size,)."""
-        raise NotImplementedError
 
     def find_others(self, *, walls: bool) -> list[Any]:
-        """Return the vehicles but for the car, and the obstacles, walls among them or not."""
+        """Return all vehicles except the car, and the obstacles, with or without walls."""
         from highway_env.vehicle.objects import Obstacle
 
         car = self.unwrapped.vehicle

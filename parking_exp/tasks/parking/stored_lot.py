@@ -12,7 +12,7 @@ from parking_exp.tasks.parking.lot_config import LotConfig
 
 
 def stored_lot(config: Mapping[str, Any]) -> Lot:
-    """Return the lot of a config by dotted keys, as results have it, or its lots in one."""
+    """Return the lot of a stored config by dotted keys; several lots are combined into one."""
     settings = []
     for key, value in config.items():
         if key.startswith(("env.lot.", "env.lots.", "env.vehicles_count")) and not pd.isna(value):
@@ -24,7 +24,7 @@ def stored_lot(config: Mapping[str, Any]) -> Lot:
 
 @cache
 def _lot_of(settings: tuple[str, ...]) -> Lot:
-    """Return the lot of some keys and values; cells with equal ones share it, and its scenes."""
+    """Return the lot of some settings; cells with equal settings share the lot and its scenes."""
     stored: Any = OmegaConf.to_container(OmegaConf.from_dotlist(list(settings)))
     env = stored.get("env", {})
     sections = list(env.get("lots", {}).values())

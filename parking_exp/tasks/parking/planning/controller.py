@@ -27,8 +27,8 @@ def follow(
     position, velocity, direction = np.split(poses.T, 3)
     ref_heading, _, next_speed, curvature, forward = references.T[2:]
     speed, _ = in_frame(velocity, direction)
-    # A frame moves the car in the direction at its beginning, so not the rear axle moves along the
-    # heading, but a point before or behind it.
+    # A frame moves the car in its direction at the start of the frame. So the point that moves
+    # along the heading is not the rear axle, but a point before or behind it.
     rear = REAR_AXLE_M - speed * dt / 2
     ref_direction = direction_of(ref_heading)
     position_error = references.T[:2] - (position - rear * direction)

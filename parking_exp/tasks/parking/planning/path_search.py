@@ -65,12 +65,12 @@ def plan_path(
         geometric.PathSimplifier(space_information).reduceVertices(path)
         return _interpolate_path(state_space, path)
     finally:
-        # Our class would otherwise keep the setup in memory, and it keeps the class.
+        # Our validator and the setup would otherwise keep each other in memory.
         space_information.setMotionValidator(base.ReedsSheppMotionValidator(space_information))
 
 
 def _make_state_space(free_space: FreeSpace, radius_m: float) -> Any:
-    """Return the poses between the walls, joined by curves with a smallest radius."""
+    """Return the Reeds-Shepp space of the poses between the walls, with a smallest radius."""
     state_space = base.ReedsSheppStateSpace(radius_m)
     bounds = base.RealVectorBounds(2)
     for axis, half in enumerate(free_space.free[:, 0].tolist()):

@@ -26,9 +26,9 @@ OmplPlanner = Literal[
 ]
 """Planners of OMPL that find paths here. PRM's threads would wait for Python forever."""
 SPEED_MPS = 2.5
-# A plan does with less than the car can do, so that errors can be corrected.
-EASE = 0.6  # of its speed and acceleration
-RESERVE = 1.04  # of its smallest radius
+# Plans stay below the limits of the car, so that errors can be corrected.
+EASE = 0.6  # share of the limits of speed and acceleration that plans use
+RESERVE = 1.04  # factor on the car's smallest turning radius
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class Planner(ScriptedPolicy):
 
     Args:
         task: the parking task.
-        seed: the seed of its random numbers, together with the scene's.
+        seed: with the seed of a scene, the seed of its random numbers.
         planner: the name of one of OMPL's planners.
-        margin_m: the distance of paths to everything else.
+        margin_m: the smallest distance of the car on its path to everything else.
         time_limit_s: CPU time for the path of a scene.
     """
 
@@ -131,8 +131,9 @@ class Planner(ScriptedPolicy):
         return Plan(trajectory, time.perf_counter() - began)
 
     def find_path(self, seed: int) -> np.ndarray:
-        """Return the path of a scene: poses of the rear axle, shape (n, 3) [m, m, rad]; the start
-        alone if no path was found in time.
+        """Return the poses of the rear axle on the path of a scene, shape (n, 3) [m, m, rad].
+
+        There is only the start if no path was found in time.
         """
         from parking_exp.tasks.parking.planning.path_search import plan_path
 

@@ -1,10 +1,11 @@
 """Collision detection and response for one frame, in highway-env's order.
 
 In each scene highway-env tests the car against the parked cars, the walls and the obstacles, then
-the parked cars against each other, the walls and the obstacles. The last push of a frame counts. A
-pair of rectangles is tested twice (`RoadObject._is_colliding`, `utils.are_polygons_intersecting`):
-the circles around both, smaller in reverse, then the separating axis theorem, now and one frame
-ahead.
+the parked cars against each other, the walls and the obstacles. The last push of a frame counts.
+
+A pair of rectangles is tested twice. `RoadObject._is_colliding` tests the circles around both,
+which are smaller in reverse. Then `utils.are_polygons_intersecting` applies the separating axis
+theorem, now and one frame ahead.
 
 A car that was pushed out of another is exactly at contact in the next frame, where the last bit
 decides. Therefore the arithmetic is highway-env's to the last bit: `vecdot` and `matmul` make the
@@ -110,7 +111,8 @@ class Collisions:
         self.n_parked = n_parked
         self.n_walls = N_WALLS if walls else 0
         self.n_fixtures = self.n_walls + n_obstacles
-        # Of what parked cars can hit: pairs of numbers, in highway-env's order.
+        # All pairs of a parked car and what it can hit, as two arrays of numbers, in highway-env's
+        # order.
         self._first, self._second = np.triu_indices(n_parked, k=1, m=n_parked + self.n_fixtures)
 
     def fixtures(self, state: SceneState) -> Fixtures:
@@ -156,10 +158,10 @@ class Collisions:
         target: np.ndarray,
         push: np.ndarray,
     ) -> None:
-        """Set by how much vehicles, and their targets, are displaced in the next frame.
+        """Set the displacements of vehicles and their targets in the next frame.
 
-        Walls and obstacles push all the way out, parked cars half, and are pushed as far
-        themselves. Vehicle number 0 is the car.
+        Walls and obstacles push a vehicle all the way out. A parked car pushes it half of the way,
+        and is pushed the other half itself. Vehicle number 0 is the car.
         """
         # The last push of a frame counts. In highway-env's order, a parked car is the target in all
         # pairs before the first one that it begins, so targets are set first.

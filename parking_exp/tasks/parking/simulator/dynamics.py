@@ -35,17 +35,17 @@ def advance(
         dt: length of the frame [s].
     """
     course = heading + slip
-    velocity = np.empty_like(position)
-    np.cos(course, out=velocity[0])
-    np.sin(course, out=velocity[1])
-    velocity *= speed
-    velocity *= dt
-    velocity += position
-    turn = speed * sin_slip
-    turn /= CAR_LENGTH_M / 2
-    turn *= dt
-    turn += heading
-    return velocity, turn, speed + gain
+    new_position = np.empty_like(position)
+    np.cos(course, out=new_position[0])
+    np.sin(course, out=new_position[1])
+    new_position *= speed
+    new_position *= dt
+    new_position += position
+    new_heading = speed * sin_slip
+    new_heading /= CAR_LENGTH_M / 2
+    new_heading *= dt
+    new_heading += heading
+    return new_position, new_heading, speed + gain
 
 
 def limited_acceleration(

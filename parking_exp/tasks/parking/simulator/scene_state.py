@@ -38,7 +38,7 @@ class SceneState:
     goal_features: np.ndarray
     slot_size: np.ndarray  # length and width of the goal slots, shape (n, 2) [m]
     free: np.ndarray  # half the space between the walls' inner faces, shape (2, n) [m]
-    position: np.ndarray  # of the cars, shape (2, n) [m]
+    position: np.ndarray  # x and y of the cars, shape (2, n) [m]
     heading: np.ndarray  # shape (n,) [rad]
     direction: np.ndarray  # its cosine and sine, shape (2, n)
     speed: np.ndarray  # signed, shape (n,) [m/s]
@@ -50,7 +50,7 @@ class SceneState:
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
     # Whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself.
     hit: np.ndarray
-    # What a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m].
+    # Displacements by predicted collisions, in the same order, shape (n, 1 + vehicles, 2) [m].
     impact: np.ndarray
     pushed: np.ndarray  # whether parked cars have ever been displaced, shape (n, vehicles)
 

@@ -1,8 +1,9 @@
 """Vectorized simulator of parking: many scenes at once, exactly as highway-env, in NumPy alone.
 
-A policy step is a few simulation frames of constant action. Scenes without a possible contact in
-the step, nearly all, are integrated at once; the others frame by frame, in highway-env's order:
-limit the action, move, apply the impact of the frame before, detect collisions.
+A policy step is a few simulation frames of constant action. Nearly all scenes have no possible
+contact in a step. They are integrated without collisions. The others are integrated frame by frame,
+in highway-env's order: limit the action, move, apply the impact of the previous frame, detect
+collisions.
 """
 
 from copy import copy
@@ -63,7 +64,7 @@ class Simulator(EvaluationBatch):
         self.rays = config.observation.rays
         self.rays_range_m = config.observation.rays_range_m
         lot = lot_of(config)
-        self._row_m = lot.nearest_row_m
+        self._nearest_row_m = lot.nearest_row_m
         self._collisions = Collisions(
             self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls
         )
@@ -228,16 +229,16 @@ class Simulator(EvaluationBatch):
         uncertain |= slowest < low
         uncertain |= fastest > high
         frame_travel = np.maximum(fastest, -slowest) * self.dt
-        # Before the end of the step, the car was turned by at most this [rad], and its corners were
-        # away by at most `swing` for it.
+        # During the step, the car's heading differs from its last one by at most `turn` [rad]. That
+        # displaces its corners by at most `swing` [m].
         turn = np.abs(sin_slip) * frame_travel * (self.frames / (CAR_LENGTH_M / 2))
         swing = turn * (CAR_DIAGONAL_M / 2)
         if self.walls:
             near = farthest + extent(state.direction) + (frame_travel + swing) > state.free
             uncertain |= near[0]
             uncertain |= near[1]
-        # From the end of the first frame to where the car would be a frame after the last, it goes
-        # this far; its course differs from its heading in the end by the turn and the slip.
+        # The car goes at most this far from the end of the first frame to one frame after the last.
+        # Its course differs from its last heading by at most the turn and the slip.
         motion = frame_travel * self.frames
         if state.vehicles.shape[1]:
             swept = np.array([motion, motion * (turn + np.abs(sin_slip))])
@@ -252,13 +253,13 @@ class Simulator(EvaluationBatch):
         """Return the scenes where a car may touch a parked one in its place.
 
         Args:
-            reach: the distances within which cars may touch the centres of parked ones, shape (n,)
-                [m].
+            reach: the distances between centres within which cars may touch parked ones, shape
+                (n,) [m].
             swept: half length and half width of a rectangle around each car that it doesn't leave
                 in the step, shape (2, n) [m].
         """
         state = self.state
-        close = np.flatnonzero(np.abs(state.position[1]) + reach > self._row_m)
+        close = np.flatnonzero(np.abs(state.position[1]) + reach > self._nearest_row_m)
         within = _within(reach[close], state.position[:, close], state.vehicles[close])
         row, vehicle = np.nonzero(within)
         scene = close[row]
@@ -278,7 +279,7 @@ class Simulator(EvaluationBatch):
         """Integrate a step frame by frame, in place, with speed limits, collisions and effects."""
         low, high = self.speed_range
         fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)
-        limited = fastest.max() > min(-low, high)
+        may_exceed_limits = fastest.max() > min(-low, high)
         slip = slip_angle(steering)
         sin_slip = np.sin(slip)
         fixtures = self._fixtures or self._collisions.fixtures(state)
@@ -288,7 +289,7 @@ class Simulator(EvaluationBatch):
                 slip[state.crashed] = 0.0
                 sin_slip[state.crashed] = 0.0
                 acceleration = np.where(state.crashed, -state.speed, acceleration)
-            if limited:
+            if may_exceed_limits:
                 acceleration = limited_acceleration(acceleration, state.speed, self.speed_range)
             state.position, state.heading, state.speed = advance(
                 state.position,
