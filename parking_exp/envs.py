@@ -2,10 +2,10 @@
 
 For example:
 
-import gymnasium as gym
-import parking_exp.envs
+    import gymnasium as gym
+    import parking_exp.envs
 
-env = gym.make("parking_exp/Parallel-v0", level="hard", render_mode="rgb_array")
+    env = gym.make("parking_exp/Parallel-v0", level="hard", render_mode="rgb_array")
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ def make_lot_env(
 
     Args:
         env: such as `parking_parallel`.
-        level: one of the option's levels; None: easy.
+        level: one of the option's levels, by default the easy one.
         render_mode: None or `rgb_array`.
         overrides: of the config, as in commands, for example `["env.lot.aisle_width_m=6"]`.
 

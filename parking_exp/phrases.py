@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Iterable, Sequence
 
-FEW_NAMES = 4  # a list of so many names is written out
+FEW_NAMES = 4  # longer lists of names are cut
 
 
 def plural(number: int, noun: str) -> str:

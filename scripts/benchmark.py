@@ -52,7 +52,8 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from parking_exp.resources import available_cores
-from parking_exp.runs.atomic_files import read_json, write_json
+from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.foreign_files import read_json
 
 VERSIONS = ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy", "sbx-rl", "jax")
 PEERS = {

@@ -40,7 +40,7 @@ class EpsilonRandomActionNoise(NormalActionNoise):
 
 
 class VectorizedNormalNoise(VectorizedActionNoise):
-    """Normal noise of several envs, sampled in one call: Stable-Baselines3's numbers."""
+    """Normal noise of several envs, sampled in one call. The numbers are Stable-Baselines3's."""
 
     base_noise: NormalActionNoise
 

@@ -21,7 +21,7 @@ from parking_exp.config.settings import (
 GROUPS = ("env", "algorithm", "buffer")
 EXPERIMENT = "experiment"
 LABEL = "label"
-FEW_CELLS = 5  # fewer cells with different values are taken for a list, not for draws from a range
+MIN_DRAWN_CELLS = 5  # from this number of cells on, distinct values count as draws from a range
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def _add_key_columns(
         if any(_is_determined_by(values, column) for column in options):
             continue
         # In a search all keys change together, since the values of each are drawn from a range.
-        is_drawn = len(set(map(hashable, values))) == n_distinct >= FEW_CELLS
+        is_drawn = len(set(map(hashable, values))) == n_distinct >= MIN_DRAWN_CELLS
         if is_drawn or not any(_change_together(values, column) for column in columns.values()):
             columns[key] = _with_null(key, values, configs)
 

@@ -35,7 +35,7 @@ def expand_points(
     configs have it.
 
     Args:
-        blocks: the experiment file's `cells`; none: a single cell.
+        blocks: the experiment file's `cells`. Without blocks, there is a single cell.
         axes: the values of each key on the command line, in Hydra's syntax.
         has: whether the config of a point has a key.
         experiment: its name, for the error.

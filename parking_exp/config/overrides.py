@@ -14,7 +14,7 @@ from hydra.errors import HydraException
 
 from parking_exp.errors import ConfigError, first_line
 
-MAX_VALUES = 100_000  # a range has at most so many
+MAX_VALUES = 100_000  # most values of a range
 # A quoted text, or what stands between commas.
 WORD = re.compile(r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+""")
 

@@ -27,6 +27,7 @@ def rule_problems(run: RunConfig) -> Iterator[str]:
     if run.is_trained:
         yield from _round_problems(run)
     yield from _evaluation_problems(run)
+    yield from _tracking_problems(run)
 
 
 def _buffer_problems(run: RunConfig) -> Iterator[str]:
@@ -129,6 +130,9 @@ def _algorithm_problems(run: RunConfig) -> Iterator[str]:
             f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} does its own "
             "scaling"
         )
+
+
+def _tracking_problems(run: RunConfig) -> Iterator[str]:
     if run.tracking.mlflow and run.experiment_name == "Default":
         yield "experiment_name=Default is reserved by MLflow; choose another name"
 

@@ -1,4 +1,4 @@
-"""Which config keys change the results of a run, and the hash of which its key is made."""
+"""Which config keys change the results of a run, and the hash that makes the run key."""
 
 import hashlib
 import json

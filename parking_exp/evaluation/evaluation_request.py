@@ -61,7 +61,11 @@ class EvaluationRequest(AgentRequest):
 
 
 def validate_evaluation(config: DictConfig) -> EvaluationRequest:
-    """Validate a composed config."""
+    """Return the checked request of `scripts/evaluate.py`.
+
+    Raises:
+        ConfigError: a key is wrong, or keys do not fit together.
+    """
     request = parse_config(EvaluationRequest, config, without=KEYS_LEFT_OUT)
     n_episodes = len(request.seeds)
     if request.env and "task" in request.env:

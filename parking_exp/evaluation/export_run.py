@@ -26,7 +26,11 @@ class ExportRequest(AgentRequest):
 
 
 def validate_export(config: DictConfig) -> ExportRequest:
-    """Validate a composed config."""
+    """Return the checked request of `scripts/export.py`.
+
+    Raises:
+        ConfigError: a key is wrong, or a package is missing.
+    """
     request = parse_config(ExportRequest, config)
     if request.format == "onnx":
         for name in ("onnx", "onnxruntime"):

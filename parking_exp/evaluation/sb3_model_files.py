@@ -22,7 +22,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import SWEEP_KEYS, parse_plain, raise_problems
 from parking_exp.errors import ModelError, RunNotFoundError, one_line
 from parking_exp.evaluation.agents import Agent
-from parking_exp.runs.atomic_files import MAX_JSON, open_file, sha256
+from parking_exp.runs.foreign_files import MAX_JSON, open_file, sha256
 
 SB3_EVALUATIONS = "models"
 """Folder of an output directory with the evaluations of model files."""

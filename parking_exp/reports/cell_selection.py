@@ -38,8 +38,10 @@ class CellRuns:
     """The runs of one cell.
 
     Attributes:
-        id: `c0`, `c1`, ... in the order of the report.
+        experiment: the name of its experiment.
         name: folder of its runs.
+        config: its config by dotted keys, without null values.
+        id: `c0`, `c1`, ... in the order of the report.
         label: what distinguishes it from the others of the report.
         settings: value of each factor.
         runs: rows of `Results.runs` by seed, with `is_done`. If several runs have the same seed,

@@ -114,8 +114,8 @@ def _describe_factors(report: ReportData) -> Iterator[str]:
         high = effect.highest
         low = effect.lowest
         parts = [points_interval_in_words(effect.largest)]
-        if effect.p is not None:
-            parts.append(p_in_words(effect.p))
+        if effect.p_corrected is not None:
+            parts.append(p_in_words(effect.p_corrected))
         verdict = LEVEL_VERDICTS.get(judge(effect.largest), "")
         high_rate = percent_interval_in_words(high.effect)
         low_rate = percent_interval_in_words(low.effect)

@@ -10,7 +10,7 @@ from parking_exp.config.settings import display_setting
 from parking_exp.reports.report_data import Verdict
 from parking_exp.statistics import Interval, finite_or_none
 
-SMALLEST_P = 0.0001  # that is written
+SMALLEST_P = 0.0001  # smaller p values are written as ≤ 0.0001
 
 
 class VerdictWords(NamedTuple):

@@ -50,7 +50,8 @@ def build_report(
     Args:
         results: the results of the experiments.
         experiments: their names.
-        cells: labels, names, patterns and conditions, see `cell_selection.choose_cells`; none: all.
+        cells: labels, names, patterns and conditions, see `cell_selection.choose_cells`. By
+            default, all cells are selected.
         baseline: label of the cell that the others are compared with.
         contrast: `FACTOR:LEVEL-LEVEL`, of which matched cells are compared, see
             `cell_selection.match_cells`.

@@ -55,7 +55,11 @@ KEYS = {
 
 
 def validate_report(config: DictConfig) -> ReportRequest:
-    """Validate a composed config."""
+    """Return the checked request of `scripts/report.py`.
+
+    Raises:
+        ConfigError: a key is wrong, or keys do not fit together.
+    """
     request = parse_config(ReportRequest, config)
     if request.source:
         store_keys = {

@@ -15,33 +15,33 @@ import pandas as pd
 
 from parking_exp.config.settings import FlatConfig, flatten_config
 from parking_exp.config_model import TRAINING_SEEDS_START
-from parking_exp.runs.atomic_files import parse_plain_yaml
+from parking_exp.runs.foreign_files import parse_plain_yaml
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.registry import DTYPES, METRICS, OUTCOMES, added_metrics
 
-CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
-CURVE_KEYS = {**CURVE, "time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
+CURVE_COLUMNS = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
+CURVE_KEYS = {**CURVE_COLUMNS, "time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
 CURVE_TYPES: dict[str, Any] = {
     "run_id": "str",
     "step": "int64",
     **dict.fromkeys(CURVE_KEYS.values(), "float64"),
 }
 """Columns of `Results.curves` before metrics of users, and their types."""
-REQUIRED: dict[str, Any] = {
+REQUIRED_TYPES: dict[str, Any] = {
     "phase": pd.CategoricalDtype(["eval", "final", "certified"]),
     "step": "int64",
     EPISODE_SEED: "int64",
     "outcome": pd.CategoricalDtype([*OUTCOMES]),
 }
 """Columns of episodes that every task has; each task lacks some of the others."""
-EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
+EPISODE_TYPES: dict[str, Any] = {**REQUIRED_TYPES, **DTYPES}
 """Columns of `Results.episodes` between the run id and metrics of users, and their types."""
-CATEGORIES = {
-    name: kind for name, kind in EPISODES.items() if isinstance(kind, pd.CategoricalDtype)
+CATEGORY_TYPES = {
+    name: kind for name, kind in EPISODE_TYPES.items() if isinstance(kind, pd.CategoricalDtype)
 }
-PATHS: dict[str, Any] = {EPISODE_SEED: "int64", "step": "int64"}
+PATH_TYPES: dict[str, Any] = {EPISODE_SEED: "int64", "step": "int64"}
 """Columns of `Results.paths` between the run id and positions, and their types."""
-NUMBERS = {name: kind for name, kind in EPISODES.items() if name not in CATEGORIES}
+NUMBER_TYPES = {name: kind for name, kind in EPISODE_TYPES.items() if name not in CATEGORY_TYPES}
 
 
 SEED_LINE = re.compile(rb"^seed: (\d{1,10})$", re.MULTILINE)
@@ -98,21 +98,21 @@ def _curve_column(key: str) -> str | None:
 def read_episodes(table: bytes) -> pd.DataFrame:
     """Return the rows of an `episodes.csv`, with text for categories.
 
-    Columns that EPISODES does not have are metrics of users, if they have numbers.
+    Columns that EPISODE_TYPES does not have are metrics of users, if they have numbers.
 
     Raises:
         ValueError: it is damaged.
     """
-    episodes = pd.read_csv(io.BytesIO(table), dtype=NUMBERS)
+    episodes = pd.read_csv(io.BytesIO(table), dtype=NUMBER_TYPES)
     numbers = episodes.select_dtypes(["number", "bool"])
-    known = [name for name in EPISODES if name in episodes]
+    known = [name for name in EPISODE_TYPES if name in episodes]
     added = [name for name in numbers.columns.difference(["run_id", *known]) if name.isidentifier()]
     episodes = episodes[[*known, *added]]
-    for name in REQUIRED:
+    for name in REQUIRED_TYPES:
         if name not in episodes:
             raise ValueError(f"it has no column {name}")
     is_known = episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1)
-    for name, kind in CATEGORIES.items():
+    for name, kind in CATEGORY_TYPES.items():
         is_known &= episodes[name].isin(kind.categories)
     if not is_known.all():
         raise ValueError("it has rows that are not episodes")
@@ -125,9 +125,9 @@ def read_paths(table: bytes) -> pd.DataFrame:
     Raises:
         ValueError: it is damaged, or has anything but finite numbers.
     """
-    types = defaultdict(lambda: "float64", PATHS)
+    types = defaultdict(lambda: "float64", PATH_TYPES)
     paths = pd.read_csv(io.BytesIO(table), compression="gzip", dtype=types)
-    for name in PATHS:
+    for name in PATH_TYPES:
         if name not in paths:
             raise ValueError(f"it has no column {name}")
     if not np.isfinite(paths).all(axis=None):

@@ -17,7 +17,12 @@ import pandas as pd
 from parking_exp.config.paths import directory_path
 from parking_exp.config.settings import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
-from parking_exp.results.artifact_parsers import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
+from parking_exp.results.artifact_parsers import (
+    CURVE_KEYS,
+    CURVE_TYPES,
+    EPISODE_TYPES,
+    REQUIRED_TYPES,
+)
 from parking_exp.results.frames import (
     FINAL_COLUMNS,
     RUN_TYPES,
@@ -28,7 +33,8 @@ from parking_exp.results.frames import (
     setting_column,
     typed_curves,
 )
-from parking_exp.runs.atomic_files import read_json, write_gzip, write_json
+from parking_exp.runs.atomic_files import write_gzip, write_json
+from parking_exp.runs.foreign_files import read_json
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.registry import added_metrics
 
@@ -52,6 +58,8 @@ def write_export(
     can't be read.
 
     Args:
+        results: what is exported.
+        folder: the folder of the export; it replaces an earlier one.
         about: further entries of `report.json`.
 
     Raises:
@@ -179,5 +187,7 @@ def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
     steps = episodes["run_id"].map(runs.set_index("run_id")["steps"])
     episodes = episodes.assign(step=steps, phase="final")
     episodes = episodes.astype({"run_id": run_category(runs["run_id"])}).dropna(subset="run_id")
-    episodes = episodes.astype(REQUIRED).sort_values(["run_id", EPISODE_SEED], ignore_index=True)
-    return episodes.reindex(columns=["run_id", *EPISODES])
+    episodes = episodes.astype(REQUIRED_TYPES).sort_values(
+        ["run_id", EPISODE_SEED], ignore_index=True
+    )
+    return episodes.reindex(columns=["run_id", *EPISODE_TYPES])

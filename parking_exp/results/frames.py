@@ -15,11 +15,11 @@ from parking_exp.config.settings import FlatConfig, Setting
 from parking_exp.errors import ParkingError, ResultsError, reason_of_store_failure
 from parking_exp.phrases import suggestion
 from parking_exp.results.artifact_parsers import (
-    CATEGORIES,
-    CURVE,
+    CATEGORY_TYPES,
+    CURVE_COLUMNS,
     CURVE_TYPES,
-    EPISODES,
-    PATHS,
+    EPISODE_TYPES,
+    PATH_TYPES,
     config_reader,
     read_episodes,
     read_paths,
@@ -62,7 +62,7 @@ TAG_COLUMNS = ("cell", "run_key", "seed", "status", "error", "git_commit", "git_
 
 
 def _no_paths() -> pd.DataFrame:
-    types = {"run_id": TEXT, **PATHS}
+    types = {"run_id": TEXT, **PATH_TYPES}
     return pd.DataFrame(columns=[*types]).astype(types)
 
 
@@ -237,19 +237,19 @@ def _make_points(logs: Mapping[str, Sequence[Mapping[str, Any]]]) -> pd.DataFram
 
 def _make_curves(points: pd.DataFrame) -> pd.DataFrame:
     """Return `Results.curves`: the points that are evaluations."""
-    evaluations = points.dropna(how="all", subset=[*CURVE.values()])
+    evaluations = points.dropna(how="all", subset=[*CURVE_COLUMNS.values()])
     return evaluations.sort_values(["run_id", "step"], ignore_index=True)
 
 
 def _make_episodes(tables: Mapping[str, pd.DataFrame], run_ids: pd.Series) -> pd.DataFrame:
     """Return `Results.episodes` from the tables of runs, in the order of all run ids."""
-    columns = dict(EPISODES)
+    columns = dict(EPISODE_TYPES)
     for table in tables.values():
         for name, dtype in table.dtypes.items():
             columns.setdefault(str(name), dtype)  # metrics of users
 
     empty = pd.DataFrame(columns=["run_id", *columns]).astype(columns)
-    types = {"run_id": run_category(run_ids), **CATEGORIES}
+    types = {"run_id": run_category(run_ids), **CATEGORY_TYPES}
     return _concatenate(tables, empty).astype(types)
 
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from parking_exp.runs.atomic_files import read_object, sha256
+from parking_exp.runs.foreign_files import read_object, sha256
 
 CHECKPOINTS = "checkpoints"  # folder of a run directory
 STEP_PREFIX = "step="

@@ -25,9 +25,10 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.paths import absolute_uri, directory_path, refuse_links, relative_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
-from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.checkpoint_files import CHECKPOINTS, checkpoint_name, checkpoint_problem
 from parking_exp.runs.file_hashes import HASHES, hash_finished_files
+from parking_exp.runs.foreign_files import read_object
 from parking_exp.runs.locks import is_held
 from parking_exp.runs.run_files import (
     HEARTBEAT_FILE,

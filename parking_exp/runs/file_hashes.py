@@ -8,8 +8,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from parking_exp.runs.atomic_files import read_object, sha256, write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.checkpoint_files import CHECKPOINTS, MODEL, find_checkpoints
+from parking_exp.runs.foreign_files import read_object, sha256
 from parking_exp.runs.metric_logs import METRICS_FILE
 from parking_exp.runs.run_files import (
     CONFIG_FILE,

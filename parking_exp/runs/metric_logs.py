@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from parking_exp.runs.atomic_files import open_file
+from parking_exp.runs.foreign_files import open_file
 
 if TYPE_CHECKING:
     import pandas as pd

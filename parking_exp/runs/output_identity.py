@@ -8,7 +8,8 @@ from filelock import FileLock
 
 from parking_exp.config.paths import refuse_links
 from parking_exp.errors import OutputDirectoryError
-from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.foreign_files import read_object
 
 IDENTITY_FILE = "identity.json"
 ID = re.compile(r"[0-9a-f]{32}")

@@ -12,13 +12,8 @@ from parking_exp.config.paths import absolute_uri, relative_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import parse_plain
 from parking_exp.errors import ConfigError, first_line
-from parking_exp.runs.atomic_files import (
-    MAX_SMALL,
-    parse_plain_yaml,
-    read_file,
-    read_json,
-    write_atomically,
-)
+from parking_exp.runs.atomic_files import write_atomically
+from parking_exp.runs.foreign_files import MAX_SMALL, parse_plain_yaml, read_file, read_json
 from parking_exp.runs.metric_logs import EPISODES_FILE, MONITOR_FILE
 
 CONFIG_FILE = "config.yaml"

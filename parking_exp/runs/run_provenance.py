@@ -11,7 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from parking_exp import __version__
-from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.foreign_files import read_object
 from parking_exp.terminal import command_of, is_script
 
 PROVENANCE_FILE = "provenance.json"

@@ -34,9 +34,9 @@ class MainEffect:
         complete: whether all combinations are there; else levels are averaged over different cells.
         highest: the level with the highest mean; of equal ones, the first.
         lowest: the level with the lowest mean; of equal ones, the last.
-        largest: the highest mean minus the lowest, with an interval corrected as p.
-        p: the p value of that difference, corrected (Bonferroni) over all pairs of levels; None
-            where combinations are missing.
+        largest: the highest mean minus the lowest, with an interval corrected likewise.
+        p_corrected: the p value of that difference, corrected (Bonferroni) over all pairs of
+            levels; None where combinations are missing.
     """
 
     factor: str
@@ -45,7 +45,7 @@ class MainEffect:
     highest: Level
     lowest: Level
     largest: Difference
-    p: float | None
+    p_corrected: float | None
 
 
 def main_effects(
@@ -86,5 +86,5 @@ def _main_effect(
     lowest = min(reversed(levels), key=lambda level: level.mean)
     n_pairs = math.comb(len(levels), 2)
     (largest,) = compare([(cells[highest.level], cells[lowest.level])], n_pairs=n_pairs)
-    p = largest.p_corrected if complete else None
-    return MainEffect(factor, levels, complete, highest, lowest, largest, p)
+    p_corrected = largest.p_corrected if complete else None
+    return MainEffect(factor, levels, complete, highest, lowest, largest, p_corrected)

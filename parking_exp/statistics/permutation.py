@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-MAX_EPISODES = 10_000  # behind a rate
+MAX_EPISODES = 10_000  # most episodes of a rate for which p is exact
 MAX_RATE_STEPS = 10**9  # keeps sums within 64 bits where seeds have different numbers of episodes
 RATE_STEPS = 20_000  # other rates are rounded to 0.005 points
 MAX_SUMMED_STEPS = 2_000_000  # in all strata: a sum of 20 strata then takes seconds

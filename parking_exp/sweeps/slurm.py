@@ -29,7 +29,7 @@ class SlurmLauncher:
     """Jobs on a cluster, whose nodes share the file system of the run directories.
 
     Args:
-        n_jobs: the number of jobs at a time; None: as many as the cluster takes.
+        n_jobs: the most jobs at a time; by default as many as the cluster takes.
         folder: the folder of submitit's files; None: `.submitit` in the output directory.
         parameters: arguments of submitit's `AutoExecutor.update_parameters`.
 

@@ -43,8 +43,8 @@ def supervise(
     Args:
         path: the run directory, with its config.
         stop: once it is made, the run saves a checkpoint and exits, or is killed after GRACE_S.
-        cores: the worker's cores, with a thread each; none: all.
-        device: CUDA device for the worker; None: all.
+        cores: the cores that the worker may use, with a thread each. If empty, it may use all.
+        device: the CUDA device that the worker may use; by default all.
         start_method: how its process starts.
     """
     directory = RunDirectory(path)

@@ -28,7 +28,7 @@ def work(path: Path, cores: Sequence[int], environment: Mapping[str, str]) -> No
 
     Args:
         path: the run directory, with its config.
-        cores: the cores that this process may use, with a thread each; none: all.
+        cores: the cores that this process may use, with a thread each. If empty, it may use all.
         environment: environment variables, in place of those that this process has.
     """
     # A session of its own: Ctrl-C in the terminal reaches the supervisor alone, which passes it on.

@@ -31,8 +31,8 @@ class WorkerProcess:
 
     Args:
         path: the run directory, with its config.
-        cores: the cores that it may use, with a thread each; none: all.
-        device: CUDA device that it may use; None: all.
+        cores: the cores that it may use, with a thread each. If empty, it may use all.
+        device: the CUDA device that it may use; by default all.
         start_method: how it starts.
     """
 

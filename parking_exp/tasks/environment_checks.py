@@ -18,7 +18,7 @@ from parking_exp.tasks.gymnasium_env import (
 from parking_exp.tasks.training_envs import ReplayActions
 
 TOLERANCE = 1e-6  # rewards may be float32
-FAR = 1_000.0  # what is added to a goal to get one that is not reached
+FAR = 1_000.0  # offset of a goal that random steps do not reach
 VECTORS = (spaces.Box, spaces.MultiBinary)
 
 

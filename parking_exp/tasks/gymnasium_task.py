@@ -62,9 +62,9 @@ class GymnasiumTask(Task):
         for env in self._envs:
             env.close()
         self._envs.clear()
+        self._prediction_env = None  # its env was one of these
 
-    def prediction_env(self) -> VecEnv:
-        """Make one env, which evaluations use, too."""
+    def _make_prediction_env(self) -> VecEnv:
         return DummyVecEnv([self._any_env])
 
     def _any_env(self) -> gym.Env:

@@ -49,7 +49,7 @@ METRICS: tuple[Metric, ...] = tuple(dict.fromkeys((*parking_metrics.METRICS, *GY
 OUTCOMES = tuple(metric.name for metric in METRICS if metric.is_outcome)
 FAILURES = tuple(name for name in OUTCOMES if name not in ("success", "timeout"))
 """Outcomes of episodes that ended badly; each task has one of them."""
-KEYS = {metric.key for metric in METRICS}
+METRIC_KEYS = {metric.key for metric in METRICS}
 ADDED_KEY = re.compile(r"\w+_(rate|mean)")
 TRAINING_KEYS = list(
     itertools.chain.from_iterable(env.training_keys for env in ENV_CONFIGS.values())
@@ -63,7 +63,7 @@ DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not
 def added_metrics(names: Iterable[str], prefix: str = "") -> list[str]:
     """Return the keys of metrics of users among names of a store or a frame, sorted."""
     keys = {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
-    return sorted(key for key in keys - KEYS if ADDED_KEY.fullmatch(key))
+    return sorted(key for key in keys - METRIC_KEYS if ADDED_KEY.fullmatch(key))
 
 
 def make_task(config: EnvConfig) -> "Task":

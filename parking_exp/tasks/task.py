@@ -143,7 +143,7 @@ class Task(ABC):
 
     @abstractmethod
     def training_envs(self, n_envs: int) -> "VecEnv":
-        """Make training envs.
+        """Make new training envs, which share nothing with those of earlier calls.
 
         The VecEnv has an attribute `goal_reward`, a `GoalReward`, with which HER relabels. For
         checkpoints, the VecEnv or each env has `get_state` and `set_state`. A state consists of
@@ -173,17 +173,23 @@ class Task(ABC):
         return 30
 
     def prediction_env(self) -> "VecEnv":
-        """Make one env with the task's spaces, for a model that only predicts.
+        """Return one env with the task's spaces, for models that only predict.
 
-        `close` closes it.
+        The first call makes it, and `close` closes it.
         """
-        self._prediction_env = self.training_envs(1)
+        if self._prediction_env is None:
+            self._prediction_env = self._make_prediction_env()
         return self._prediction_env
+
+    def _make_prediction_env(self) -> "VecEnv":
+        """Make the env of `prediction_env`; by default, it is a training env."""
+        return self.training_envs(1)
 
     def close(self) -> None:
         """Close the envs of evaluations and predictions."""
         if self._prediction_env is not None:
             self._prediction_env.close()
+            self._prediction_env = None
 
     def problems(self) -> Iterator[str]:
         """Yield what is wrong with the environment itself; this may take seconds."""

@@ -23,7 +23,7 @@ from parking_exp.tracking.client import lock_path, write_lock
 from parking_exp.tracking.store import MAX_EXPERIMENTS, OUTPUT_DIR_TAG, Store
 from parking_exp.tracking.write_run import write_new_run
 
-FEW_RUNS = 20  # are written in a second or two
+FEW_RUNS = 20  # fewer runs are written without a progress bar
 MOVE_IT = (
     "move it away, and the next command makes one from the run directories; or name a store with "
     "tracking.uri="

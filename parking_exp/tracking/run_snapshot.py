@@ -9,10 +9,10 @@ from parking_exp.config.paths import database_file, relative_path
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import one_line
-from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.checkpoint_files import MODEL, find_checkpoints
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.file_hashes import evaluation_files, find_evaluations
+from parking_exp.runs.foreign_files import read_object
 from parking_exp.runs.metric_logs import METRICS_FILE
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import CONFIG_FILE, EVALUATIONS, WRITTEN_AT_THE_END, Status

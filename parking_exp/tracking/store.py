@@ -20,8 +20,9 @@ from parking_exp.config.paths import (
 )
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
-from parking_exp.runs.atomic_files import read_file, replacing
+from parking_exp.runs.atomic_files import replacing
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import read_file
 from parking_exp.tracking.client import connect, say_ignored_store, write_lock
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 from parking_exp.config.paths import resolved
 from parking_exp.config.settings import encode_setting, flatten_config
 from parking_exp.errors import StoreError
-from parking_exp.runs.atomic_files import read_file
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.file_hashes import changed_files, has_hashes
+from parking_exp.runs.foreign_files import read_file
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.runs.run_provenance import STARTED

@@ -26,7 +26,7 @@ from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.runs.atomic_files import fsync, replacing, sha256, write_json
+from parking_exp.runs.atomic_files import fsync, replacing, write_json
 from parking_exp.runs.checkpoint_files import (
     BUFFER,
     MANIFEST,
@@ -35,6 +35,7 @@ from parking_exp.runs.checkpoint_files import (
     checkpoint_problem,
     find_checkpoints,
 )
+from parking_exp.runs.foreign_files import sha256
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.runs.run_files import BEST_MODEL
 from parking_exp.terminal import say

@@ -24,7 +24,6 @@ from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ModelError
 from parking_exp.runs.atomic_files import replacing
-from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.rollout import seed_batches
 from parking_exp.tasks.scripted_policy import ScriptedPolicy, build_scripted_policy
 from parking_exp.tasks.task import Task
@@ -40,7 +39,7 @@ Transition = tuple[Any, ...]
 class DemonstrationStats:
     """The cost and the success of demonstrations."""
 
-    cpu_s: float  # that they took
+    cpu_s: float  # CPU time of recording them
     n_successes: int  # episodes that reached the goal
 
 
@@ -60,12 +59,13 @@ def attach_demonstration_buffer(config: RunConfig, task: Task, model: OffPolicyA
 
 
 def add_demonstrations(
-    config: RunConfig, model: OffPolicyAlgorithm, on_progress: Callable[[int], None]
+    config: RunConfig, task: Task, model: OffPolicyAlgorithm, on_progress: Callable[[int], None]
 ) -> DemonstrationStats:
     """Fill the demonstration buffer from its file; record the episodes if there is no file.
 
     Args:
         config: the run's config.
+        task: the run's task.
         model: the run's model, after `attach_demonstration_buffer`.
         on_progress: called now and then with the number of recorded episodes; it may raise to
             stop.
@@ -82,7 +82,7 @@ def add_demonstrations(
     try:
         if not path.exists():
             began_s = time.process_time()
-            n_successes = _record_episodes(config, model, demonstrations, on_progress)
+            n_successes = _record_episodes(config, task, model, demonstrations, on_progress)
             stats = DemonstrationStats(time.process_time() - began_s, n_successes)
             with replacing(path) as temporary, temporary.open("wb") as file:
                 state = demonstrations.storage.get_state()
@@ -126,6 +126,7 @@ def _wait_for(lock: FileLock, on_progress: Callable[[], None]) -> None:
 
 def _record_episodes(
     config: RunConfig,
+    task: Task,
     model: OffPolicyAlgorithm,
     buffer: HerBuffer,
     on_progress: Callable[[int], None],
@@ -134,23 +135,22 @@ def _record_episodes(
     n_recorded = 0
     n_successes = 0
     all_seeds = config.env.training_seeds[-config.buffer.demonstrations :]
-    with closing(make_task(config.env)) as task:
-        arguments = dict(config.buffer.demonstrator)
-        target = arguments.pop("_target_")
-        policy = build_scripted_policy(target, arguments, task, DEMONSTRATOR_SEED)
-        for seeds in seed_batches(all_seeds, task, policy):
-            on_batch_progress = partial(on_progress, n_recorded)
-            policy.start(seeds, on_batch_progress)
-            with closing(task.training_envs(len(seeds))) as envs:
-                envs.seed(seeds[0])  # the seeds are consecutive
-                episodes = _drive(policy, envs, on_batch_progress)
-            n_recorded += len(seeds)
-            for episode in episodes:
-                for obs, next_obs, action, reward, done, infos in episode:
-                    scaled = model.policy.scale_action(action)
-                    buffer.add(obs, next_obs, scaled, reward, done, infos)
-                last_infos = episode[-1][-1]
-                n_successes += bool(last_infos[0]["is_success"])
+    arguments = dict(config.buffer.demonstrator)
+    target = arguments.pop("_target_")
+    policy = build_scripted_policy(target, arguments, task, DEMONSTRATOR_SEED)
+    for seeds in seed_batches(all_seeds, task, policy):
+        on_batch_progress = partial(on_progress, n_recorded)
+        policy.start(seeds, on_batch_progress)
+        with closing(task.training_envs(len(seeds))) as envs:
+            envs.seed(seeds[0])  # the seeds are consecutive
+            episodes = _drive(policy, envs, on_batch_progress)
+        n_recorded += len(seeds)
+        for episode in episodes:
+            for obs, next_obs, action, reward, done, infos in episode:
+                scaled = model.policy.scale_action(action)
+                buffer.add(obs, next_obs, scaled, reward, done, infos)
+            last_infos = episode[-1][-1]
+            n_successes += bool(last_infos[0]["is_success"])
     return n_successes
 
 

@@ -83,7 +83,7 @@ class TrainingSession(RunSession):
         before_s = time.process_time()
         n_episodes = self.config.buffer.demonstrations
         stats = demonstrations.add_demonstrations(
-            self.config, self.model, self.progress_callback(n_episodes)
+            self.config, self.task, self.model, self.progress_callback(n_episodes)
         )
         self._cpu_start += time.process_time() - before_s - stats.cpu_s
         self.bar.say(f"demonstrations: {stats.n_successes} of {n_episodes} reach the goal")

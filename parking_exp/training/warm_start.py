@@ -20,9 +20,9 @@ from parking_exp.config.settings import (
 from parking_exp.errors import ConfigError, ModelError
 from parking_exp.evaluation.agents import Agent
 from parking_exp.evaluation.init_sources import find_source
-from parking_exp.runs.atomic_files import sha256
 from parking_exp.runs.checkpoint_files import BUFFER, find_checkpoints
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import sha256
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import checkpoints
 

@@ -16,7 +16,8 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import parse_config, parse_plain, raise_problems, validate
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.init_sources import pin_source
-from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.foreign_files import read_object
 from parking_exp.runs.lookup import LATEST
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_storage, open_study, study_errors

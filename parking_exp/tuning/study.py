@@ -101,6 +101,7 @@ def open_study(
 
     Args:
         folder: the experiment's folder.
+        search: the settings of the search.
         base: the config that trials change.
         values: value of each key of the space in this config.
         option_keys: run key with each option that trials choose from.

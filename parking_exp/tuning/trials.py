@@ -10,7 +10,7 @@ from rich.table import Table
 
 from parking_exp.config.settings import display_setting
 from parking_exp.phrases import plural
-from parking_exp.runs.atomic_files import read_object
+from parking_exp.runs.foreign_files import read_object
 from parking_exp.runs.locks import is_held
 from parking_exp.tuning.search_config import Dimension
 from parking_exp.tuning.study import changes_of, study_errors, trial_lock_path

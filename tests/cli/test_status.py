@@ -10,8 +10,9 @@ from support.runs import call_script, refusal, store
 from support.searches import SETTINGS
 
 from parking_exp.config.compose import compose_runs
-from parking_exp.runs.atomic_files import read_json, write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import read_json
 from parking_exp.runs.run_plans import write_plan
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.sweep import plan

@@ -289,9 +289,9 @@ def test_the_runs_of_an_env_share_a_task_that_is_closed_after_the_last(monkeypat
 
         monkeypatch.setattr(ParkingTask, name, recorded)
 
-    for name in ("problems", "prediction_env", "close"):
+    for name in ("problems", "_make_prediction_env", "close"):
         record(name)
     noise = ("algorithm.action_noise.mean=[0,0]", "algorithm.action_noise.sigma=[0.1,0.1]")
     overrides = ["algorithm=td3", "env=parking,parking_stop", "algorithm.gamma=0.9,0.95", *noise]
     validate_all(compose_configs("config", overrides))
-    assert events == ["problems", "prediction_env", "prediction_env", "close"] * 2
+    assert events == ["problems", "_make_prediction_env", "close"] * 2

@@ -18,8 +18,8 @@ from parking_exp.config.compose import compose_configs
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.evaluation.agents import find_agent
 from parking_exp.evaluation.evaluation_request import choose_env, validate_evaluation
-from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import read_json
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask

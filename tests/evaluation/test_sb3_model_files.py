@@ -23,7 +23,7 @@ from support.user_features import DoubledExtractor
 from parking_exp.config.compose import compose_configs
 from parking_exp.evaluation.evaluation_request import validate_evaluation
 from parking_exp.evaluation.sb3_model_files import find_agent_in_file
-from parking_exp.runs.atomic_files import read_json
+from parking_exp.runs.foreign_files import read_json
 from parking_exp.tasks.registry import make_task
 
 SCENES = range(6)

@@ -16,9 +16,9 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.results import frames, load
 from parking_exp.results.artifact_parsers import (
-    CURVE,
+    CURVE_COLUMNS,
     CURVE_TYPES,
-    EPISODES,
+    EPISODE_TYPES,
     config_reader,
     read_episodes,
 )
@@ -66,7 +66,7 @@ def test_frames_have_the_columns_and_types_of_the_schema(ablation):
     assert all(name.startswith(("version.", "config.")) for name in others)
     assert (
         [*results.episodes.columns]
-        == ["run_id", *EPISODES]
+        == ["run_id", *EPISODE_TYPES]
         == ["run_id", "phase", "step", *episode_columns(METRICS)]
     )
     types = {name: str(dtype) for name, dtype in results.runs.dtypes.items()}
@@ -87,7 +87,7 @@ def test_frames_have_the_columns_and_types_of_the_schema(ablation):
     assert [
         str(results.episodes[name].dtype) for name in ("phase", "parked", "steps", "return")
     ] == ["category", "bool", "int64", "float64"]
-    for name in (*frames.RUN_TYPES, *CURVE_TYPES, *EPISODES):
+    for name in (*frames.RUN_TYPES, *CURVE_TYPES, *EPISODE_TYPES):
         assert re.search(rf"\b{name}\b", parking_exp.results.__doc__), name
 
 
@@ -266,12 +266,14 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
         assert run[name] == latest[key] if key in latest else np.isnan(run[name])
     evaluations = log.frame().dropna(subset="eval/success_rate")
     assert results.curves["step"].tolist() == evaluations["step"].tolist()
-    for key, name in {**CURVE, "time/cpu_s": "cpu_s"}.items():
+    for key, name in {**CURVE_COLUMNS, "time/cpu_s": "cpu_s"}.items():
         if key in evaluations:
             assert results.curves[name].tolist() == evaluations[key].tolist()
     assert results.curves["failure_rate"].isna().all()  # of other tasks
     stored = results.episodes.drop(columns="run_id")
-    pd.testing.assert_frame_equal(stored, pd.read_csv(smoke.path / "episodes.csv").astype(EPISODES))
+    pd.testing.assert_frame_equal(
+        stored, pd.read_csv(smoke.path / "episodes.csv").astype(EPISODE_TYPES)
+    )
     assert results.problems == ()
 
 

@@ -8,7 +8,9 @@ from support.tracked_runs import finished_run
 
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, UntrustedError
-from parking_exp.runs.atomic_files import (
+from parking_exp.runs.atomic_files import replacing, write_json
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import (
     MAX_JSON,
     MAX_LARGE,
     MAX_SMALL,
@@ -16,11 +18,8 @@ from parking_exp.runs.atomic_files import (
     read_file,
     read_json,
     read_object,
-    replacing,
     sha256,
-    write_json,
 )
-from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs, find_runs_below
 from parking_exp.runs.run_files import read_config
 from parking_exp.runs.run_state import read_state

@@ -20,8 +20,9 @@ import yaml
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.evaluation.evaluate_policy import summarise
-from parking_exp.runs.atomic_files import sha256, write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import sha256
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
 from parking_exp.runs.run_provenance import provenance_tags
 from parking_exp.tasks.metrics import episode_columns

@@ -5,7 +5,7 @@ import time
 
 import psutil
 
-from parking_exp.runs.atomic_files import read_json
+from parking_exp.runs.foreign_files import read_json
 from support.runs import ROOT, run_script, script
 
 QUICK = (

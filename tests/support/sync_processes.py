@@ -13,8 +13,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from parking_exp.runs.atomic_files import sha256, write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import sha256
 from parking_exp.runs.metric_logs import MetricsLog, copy_logs, read_metrics
 from parking_exp.tracking.client import ENVIRONMENT
 from parking_exp.tracking.store import Store
@@ -30,6 +31,7 @@ WATCHED = (
     "parking_exp/tracking/run_snapshot.py",
     "parking_exp/runs/atomic_files.py",
     "parking_exp/runs/directory.py",
+    "parking_exp/runs/foreign_files.py",
     "mlflow/tracking/client.py",
     "mlflow/store/tracking/sqlalchemy_store.py",
     "mlflow/store/artifact/local_artifact_repo.py",

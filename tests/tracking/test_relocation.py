@@ -16,8 +16,9 @@ from parking_exp.config.compose import compose
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ParkingError, StoreError, UntrustedError
 from parking_exp.results.frames import load
-from parking_exp.runs.atomic_files import read_json, write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import read_json
 from parking_exp.runs.lookup import find_runs
 from parking_exp.sweeps.single_run import train
 from parking_exp.tracking.store import Store

@@ -47,8 +47,9 @@ def configured(output_dir, *overrides):
 def demonstrated(config, on_progress=None):
     """The model of a config with its demonstrations, and their stats."""
     model = model_of(config)
-    demonstrations.attach_demonstration_buffer(config, make_task(config.env), model)
-    stats = demonstrations.add_demonstrations(config, model, on_progress or (lambda _: None))
+    task = make_task(config.env)
+    demonstrations.attach_demonstration_buffer(config, task, model)
+    stats = demonstrations.add_demonstrations(config, task, model, on_progress or (lambda _: None))
     return model, stats
 
 
@@ -163,14 +164,15 @@ def test_a_run_that_is_stopped_while_another_records_stops_at_once(tmp_path, mon
     demonstrated(config)
     (file,) = (tmp_path / "demonstrations").glob("*.npz")
     model = model_of(config)
-    demonstrations.attach_demonstration_buffer(config, make_task(config.env), model)
+    task = make_task(config.env)
+    demonstrations.attach_demonstration_buffer(config, task, model)
 
     def stop(_):
         raise InterruptedRunError("stopped", SIGTERM)
 
     with FileLock(file.with_suffix(".lock")), pytest.raises(InterruptedRunError):
-        demonstrations.add_demonstrations(config, model, stop)
-    assert demonstrations.add_demonstrations(config, model, stop).n_successes == 4
+        demonstrations.add_demonstrations(config, task, model, stop)
+    assert demonstrations.add_demonstrations(config, task, model, stop).n_successes == 4
 
 
 def test_the_number_of_recorded_episodes_is_told_after_each_batch(tmp_path, monkeypatch):

@@ -17,8 +17,8 @@ from torch.nn.utils import parameters_to_vector
 from parking_exp.config.compose import compose
 from parking_exp.errors import FailedRunError, ModelError, RunNotFoundError
 from parking_exp.evaluation.init_sources import find_source, pin_source
-from parking_exp.runs.atomic_files import sha256
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.foreign_files import sha256
 from parking_exp.sweeps.single_run import train
 from parking_exp.training import warm_start
 from parking_exp.training.checkpoints import latest

@@ -17,7 +17,7 @@ from support.sweep_processes import FAILING, begin, trained, workers
 
 from parking_exp.config.compose import compose_runs
 from parking_exp.config.validate import validate
-from parking_exp.runs.atomic_files import read_json
+from parking_exp.runs.foreign_files import read_json
 from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.run_search import choose_trials, write_winner
 from parking_exp.tuning.search import read_search

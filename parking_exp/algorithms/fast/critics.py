@@ -50,7 +50,9 @@ class Critics:
     def value_and_gradient(
         self, inputs: torch.Tensor, n_actions: int, n_critics: int | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the values of actions, and the gradient of minus their mean by the actions.
+        """Return the values of actions, and the gradient of their negative mean.
+
+        The gradient is with respect to the actions.
 
         A value, shape (batch, 1), is the smallest of the first `n_critics` critics, by default of
         all. The gradient has the shape (batch, actions).

@@ -45,10 +45,10 @@ class MLP:
     def backward(
         self, values: list[torch.Tensor], gradient: torch.Tensor, out: list[torch.Tensor]
     ) -> None:
-        """Write the gradients by weights and biases into `out`, which is laid out as `tensors`.
+        """Write the gradients with respect to weights and biases into `out`, laid out as `tensors`.
 
-        `values` are what `forward` returned. `gradient` is the gradient of the loss by the output,
-        shape (batch, outputs).
+        `values` are what `forward` returned. `gradient` is the gradient of the loss with respect to
+        the output, shape (batch, outputs).
         """
         for index in range(len(self.layers) - 1, -1, -1):
             _outer(gradient, values[index], out[2 * index])
@@ -57,7 +57,7 @@ class MLP:
                 gradient = self._backward_layer(index, values[index], gradient)
 
     def input_gradient(self, values: list[torch.Tensor], gradient: torch.Tensor) -> torch.Tensor:
-        """Return the gradient by the input, shape (batch, inputs); see `backward`."""
+        """Return the gradient with respect to the input, shape (batch, inputs); see `backward`."""
         for index in range(len(self.layers) - 1, 0, -1):
             gradient = self._backward_layer(index, values[index], gradient)
         return _multiply(gradient, self.layers[0][0])
@@ -100,14 +100,14 @@ def _linear(
 
 
 def _multiply(gradient: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """Multiply a gradient by a weight: the gradient by a layer's input, shape (batch, inputs)."""
+    """Return the gradient with respect to a layer's input, shape (batch, inputs)."""
     if _uses_onednn(weight):
         return _onednn(gradient, weight.t())
     return gradient @ weight
 
 
 def _outer(gradient: torch.Tensor, value: torch.Tensor, out: torch.Tensor) -> None:
-    """Write the gradient by a weight, summed over the batch."""
+    """Write the gradient with respect to a weight, summed over the batch."""
     if _uses_onednn(out):
         out.copy_(_onednn(gradient.t(), value.t()))
     else:

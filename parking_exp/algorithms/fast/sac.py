@@ -78,7 +78,7 @@ class SACUpdate:
     def _update_actor(
         self, values: list[torch.Tensor], grad_mean: torch.Tensor, grad_log_std: torch.Tensor
     ) -> None:
-        """Pass the gradients by both heads' outputs back to the body, and take a step."""
+        """Pass the gradients with respect to both heads' outputs to the body, and take a step."""
         gradients = self.adam.gradients
         hidden = values[-1]
         self.mean.backward([hidden], grad_mean, gradients[-4:-2])
@@ -138,11 +138,14 @@ class _SquashedGaussian(NamedTuple):
     def backward(
         self, grad_action: torch.Tensor, grad_log_prob: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the gradients by mean and raw log standard deviation, shape (n, actions) each.
+        """Return the gradients with respect to the mean and the raw log standard deviation.
 
-        `grad_action` is the gradient of the loss by the actions, without their effect on
-        `log_prob`, shape (n, actions). `grad_log_prob` is its gradient by each log probability, one
-            number.
+        Both have the shape (n, actions).
+
+        Args:
+            grad_action: gradient of the loss with respect to the actions, without their effect on
+                `log_prob`, shape (n, actions).
+            grad_log_prob: gradient of the loss with respect to each log probability, one number.
         """
         actions, _, noise, raw_log_std, std, offset, double_variance = self
         density = 1 - actions**2 + EPSILON

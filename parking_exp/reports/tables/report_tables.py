@@ -206,7 +206,7 @@ def factors_table(report: ReportData) -> Iterator[Table]:
             text_column("Highest", "highest", display_setting),
             text_column("Lowest", "lowest", display_setting),
             interval_column("Highest − lowest (points)", "largest", formats.points_interval),  # noqa: RUF001
-            Column("p (Bonferroni)", "p", formats.p_value),
+            Column("p (Bonferroni)", "p_corrected", formats.p_value),
         ],
         "Factors: the levels with the highest and the lowest mean over the other factors, and "
         "their difference in percentage points, with 95 % intervals."

@@ -60,6 +60,10 @@ class ParametricLot(SampledLot):
     - the goal, then the number of parked cars
     - one for each slot: cars take the slots in the order of these numbers, lowest first
     - angle, pitch and end of the aisle, where they are ranges
+
+    Args:
+        config: the geometry of the lot.
+        vehicles_range: the lowest and the highest number of parked cars.
     """
 
     def __init__(self, config: LotConfig, vehicles_range: tuple[int, int]) -> None:

@@ -71,12 +71,10 @@ class ParkingTask(Task):
             env.close()
         self._envs = []
 
-    def prediction_env(self) -> "VecEnv":
-        """Make one env of highway-env."""
+    def _make_prediction_env(self) -> "VecEnv":
         from stable_baselines3.common.vec_env import DummyVecEnv
 
-        self._prediction_env = DummyVecEnv([lambda: make_parking_env(self.config)])
-        return self._prediction_env
+        return DummyVecEnv([lambda: make_parking_env(self.config)])
 
     @property
     def episode_steps(self) -> int:

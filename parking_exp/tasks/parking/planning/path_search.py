@@ -11,8 +11,8 @@ from ompl import base, geometric, util
 from parking_exp.tasks.parking.free_space import FreeSpace
 
 RANGE_M = 0.5  # the longest new branch of a tree: in tight slots, longer ones hit something
-CHECK_M = 0.1  # between the poses of a motion that are tested
-SAMPLE_M = 0.02  # between the poses of a path
+CHECK_M = 0.1  # distance between the tested poses of a motion
+SAMPLE_M = 0.02  # distance between the poses of a path
 
 
 def plan_path(

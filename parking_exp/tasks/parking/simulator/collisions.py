@@ -104,6 +104,12 @@ class Collisions:
     """Collisions of all scenes in a frame of `dt` seconds.
 
     What can be hit is numbered: the `n_parked` parked cars, then the fixtures.
+
+    Args:
+        dt: the length of a frame [s].
+        n_parked: the number of parked cars of a scene, absent ones included.
+        n_obstacles: the number of obstacles of a scene.
+        walls: whether there are walls around the lot.
     """
 
     def __init__(self, dt: float, n_parked: int, n_obstacles: int, *, walls: bool) -> None:

@@ -44,7 +44,16 @@ HALF_CAR_M = np.array([[CAR_LENGTH_M / 2], [CAR_WIDTH_M / 2]])
 
 
 class Simulator(EvaluationBatch):
-    """n independent scenes of an env variant, simulated together, without autoreset."""
+    """Scenes of one env config that are simulated together, without autoreset.
+
+    Args:
+        config: the config of the env.
+        scenes: n scenes, with room for the most parked cars of the config.
+
+    Attributes:
+        state: the state of the scenes now.
+        reward: the reward of goals, without the penalty for a crash.
+    """
 
     state: SceneState
 
@@ -117,7 +126,7 @@ class Simulator(EvaluationBatch):
         return nearest_vehicles(state.position[:, rows].T, others, heading, self.n_seen)
 
     def _observe_rays(self, rows: np.ndarray | slice) -> np.ndarray:
-        """Return the distances that the cars see along rays, as shares of the range."""
+        """Return the distances that the cars see along rays, as fractions of the range."""
         state = self.state
         parts = [
             cars_at(state.vehicles[rows], state.vehicle_heading[rows]),
