@@ -34,7 +34,7 @@ class MainEffect:
         complete: whether all combinations are there; else levels are averaged over different cells.
         highest: the level with the highest mean; of equal ones, the first.
         lowest: the level with the lowest mean; of equal ones, the last.
-        largest: the highest mean minus the lowest, with an interval corrected likewise.
+        largest: the highest mean minus the lowest, with a corrected interval.
         p_corrected: the p value of that difference, corrected (Bonferroni) over all pairs of
             levels; None where combinations are missing.
     """

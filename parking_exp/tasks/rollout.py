@@ -25,7 +25,7 @@ def rollout(
 ) -> Rollout:
     """Step a batch until all episodes have ended.
 
-    An episode leaves batch and policy after its last step was yielded.
+    An episode leaves the batch after its last step was yielded.
 
     Args:
         policy: chooses the actions.

@@ -76,8 +76,8 @@ class RunSession(ABC):
         resources.callback(self.task.close)
         self.metrics_log = MetricsLog(path / METRICS_FILE)
         label = read_state(path).label
-        track = context.trackers.log
-        self.logger = make_logger(config.tracking, path, self.metrics_log, label, track)
+        log_row = context.trackers.log
+        self.logger = make_logger(config.tracking, path, self.metrics_log, label, log_row)
         resources.callback(self.logger.close)
         self.bar = TrainingProgress(
             config.total_timesteps,

@@ -57,7 +57,7 @@ def overhead(rounds: int, all_cores: Sequence[int]) -> dict[str, Any]:
             _launch_seconds(Path(folder), 1, f"seed={seed}", *BARE, *SHORT)
             for seed in range(rounds + 1)
         ]
-    return spread(values[1:])  # the first run created the store
+    return spread(values[1:])  # the first run warms up
 
 
 def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
