@@ -28,8 +28,8 @@ from parking_exp.tasks.parking.scenes import MOST_SCENES, NO_SLOT, Scenes, scene
 AISLE_M = np.array([33.0, 8.5])
 START_M = 6.0  # distance from the middle of the lot, where the car starts
 
-# In each row, one slot is the first of those nearest to the origin. These are its number,
-# heading and distance from the origin, which highway-env adds up.
+# In each row, one slot is the first of those nearest to the origin. These are its number
+# and heading, and its distance from the origin as highway-env adds it up.
 _START_SLOTS = tuple(
     int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_PER_ROW, 0])))
     for row in (0, SLOTS_PER_ROW)
