@@ -13,6 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
+from parking_exp.phrases import printable_line
+
 WIDTH_IN = 6.8  # every figure spans both columns of a paper
 PAGE_IN = 8.4  # height of a figure that leaves room for its caption on a page
 SMALL_PT = 7.0
@@ -60,17 +62,10 @@ def cell_style(cell_id: str) -> CellStyle:
     return CellStyle(_COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)], line)
 
 
-def clean(text: str) -> str:
-    """Return text in one line, without control, formatting and unassigned characters."""
-    kept = "".join(c for c in text if c.isprintable() or c.isspace())
-    return " ".join(kept.split())
-
-
 def wrapped_labels(cells: Sequence[Any], width: int, lines: int = 1) -> list[str]:
     """Return the label of each cell in `lines` lines of `width` characters, cut at the end."""
-    return [
-        textwrap.fill(clean(cell.label), width, max_lines=lines, placeholder="…") for cell in cells
-    ]
+    labels = [printable_line(cell.label) for cell in cells]
+    return [textwrap.fill(label, width, max_lines=lines, placeholder="…") for label in labels]
 
 
 def _row_height(texts: Sequence[str]) -> float:

@@ -11,6 +11,12 @@ def plural(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def printable_line(text: str) -> str:
+    """Return text in one line, without control, formatting and unassigned characters."""
+    kept = "".join(c for c in text if c.isprintable() or c.isspace())
+    return " ".join(kept.split())
+
+
 def quoted_label(label: str) -> str:
     """Return a label for a sentence: in quotes if it contains commas."""
     return f"“{label}”" if "," in label or ";" in label else label

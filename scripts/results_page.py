@@ -138,7 +138,7 @@ class Experiment:
 
     def ranks(self, first: str, second: str) -> str:
         """Return p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
-        return formats.p_in_words(self._pair(first, second).rank_p)
+        return formats.p_in_words(self._pair(first, second).rank_p_corrected)
 
     def cpu_time_ratio(self, first: str, second: str) -> str:
         """Return the second cell's CPU time until success stays at 95 %, divided by the first's.

@@ -53,7 +53,7 @@ def build_model(
     noise = node.pop("action_noise", None)
 
     arguments = instantiate({**node, "_convert_": "all"})
-    features = _features(config, task, env)
+    features = _features_arguments(config, task, env)
     is_mirrored = issubclass(features.get("features_extractor_class", type), SymmetricFeatures)
     arguments["policy"] = MIRRORED[policy_class(algorithm)] if is_mirrored else POLICY
     arguments["policy_kwargs"] = {
@@ -62,7 +62,7 @@ def build_model(
         **_instantiate_classes(custom_policy_kwargs),
     }
     arguments["train_freq"], arguments["gradient_steps"] = config.update_round()
-    arguments |= _buffer(config, env) if for_training else PREDICTION_BUFFER
+    arguments |= _buffer_arguments(config, env) if for_training else PREDICTION_BUFFER
     _skip_compiler_import()
     try:
         if noise is not None:
@@ -79,7 +79,7 @@ def build_model(
     return model
 
 
-def _features(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]:
+def _features_arguments(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]:
     """Return the policy's features extractor and its arguments; {} for the policy's default."""
     features = task.features(config.algorithm.features)
     if features is None and config.algorithm.normalize:
@@ -103,7 +103,7 @@ def _instantiate_classes(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     return instantiate({**node, "_convert_": "all"})
 
 
-def _buffer(config: RunConfig, env: VecEnv) -> dict[str, Any]:
+def _buffer_arguments(config: RunConfig, env: VecEnv) -> dict[str, Any]:
     """Return the arguments of an algorithm that name its replay buffer."""
     buffer_class = import_object(config.buffer.target)
     arguments = dict(config.buffer.arguments)

@@ -53,10 +53,10 @@ def show_status(overrides: list[str], extra_config_dir: str | None) -> None:
     """Print the progress of runs for each config of the overrides."""
     configs = compose_configs("status", overrides, extra_config_dir)
     for request in [parse_config(StatusRequest, config) for config in configs]:
-        _answer(request)
+        _show_request(request)
 
 
-def _answer(request: StatusRequest) -> None:
+def _show_request(request: StatusRequest) -> None:
     """Prune and sync as asked, then print the progress of runs, repeatedly with `watch`."""
     out = make_console()
     if request.prune:

@@ -146,7 +146,7 @@ def find_agent(
         raise RunNotFoundError(
             f"{key}={run}: {weights} does not exist; the run is {directory.status}"
         )
-    config = directory.config()
+    config = directory.read_config()
     directory.check_links()
     if run == LATEST:
         say(

@@ -109,7 +109,7 @@ def evaluate_runs(
             on_saved(evaluation.request, directory)
         say(f"results        {evaluation.folder}")
     if len(evaluations) > 1:
-        say("", *_table(evaluations, summaries).split("\n"))
+        say("", *_summary_table(evaluations, summaries).split("\n"))
 
 
 def _find_evaluations(requests: Sequence[EvaluationRequest]) -> list[Evaluation]:
@@ -145,7 +145,7 @@ def _check_envs(evaluations: Sequence[Evaluation]) -> None:
             raise_problems(task.problems())
 
 
-def _table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, float]]) -> str:
+def _summary_table(evaluations: Sequence[Evaluation], summaries: Sequence[dict[str, float]]) -> str:
     """Return a table of mean rates by cell and evaluation, with the lowest success of a run."""
     import pandas as pd
 

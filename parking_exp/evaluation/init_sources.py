@@ -35,7 +35,7 @@ def _planned_source(config: RunConfig) -> str | None:
     """Return the run that `latest` meant when this config was planned; None if it never was."""
     for path in find_runs(config.output_path, config.experiment_name):
         with suppress(ConfigError):  # it is damaged
-            planned = RunDirectory(path).config()
+            planned = RunDirectory(path).read_config()
             as_typed = planned.model_copy(update={"init": LATEST})
             if planned.init_latest and as_typed.cell_key == config.cell_key:
                 return planned.init

@@ -28,8 +28,8 @@ from parking_exp.config.settings import (
 )
 from parking_exp.errors import ConfigError
 from parking_exp.phrases import suggestion
+from parking_exp.results.frames import CONFIG_PREFIX, config_columns
 
-CONFIG = "config."
 CONTRASTS = TypeAdapter(list[tuple[str, str]] | None)
 
 
@@ -89,7 +89,7 @@ def group_runs(runs: pd.DataFrame) -> list[CellRuns]:
 
 def _make_cell(rows: pd.DataFrame) -> CellRuns:
     """Return the cell of some runs in the order in which they were begun."""
-    configs = rows.filter(regex=r"^config\.")
+    configs = rows[config_columns(rows)]
     newest = rows.sort_values(["seed", "is_done"], kind="stable")
     return CellRuns(
         experiment=str(rows["experiment"].iloc[0]),
@@ -112,7 +112,7 @@ def _read_config(configs: pd.DataFrame) -> dict[str, Setting]:
         if pd.notna(value):
             # JSON has no infinite numbers.
             is_infinite = value in (math.inf, -math.inf)
-            config[str(column).removeprefix(CONFIG)] = str(value) if is_infinite else value
+            config[str(column).removeprefix(CONFIG_PREFIX)] = str(value) if is_infinite else value
     return config
 
 

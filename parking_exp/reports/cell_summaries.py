@@ -11,7 +11,7 @@ import pandas as pd
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import CellSummary, Curve, RunSummary
 from parking_exp.reports.reported_metrics import OF_EVERY_TASK, ReportedMetric, reported_metrics
-from parking_exp.results.frames import TEXT, Results
+from parking_exp.results.frames import CONFIG_PREFIX, TEXT, Results
 from parking_exp.runs.run_state import STAGES
 from parking_exp.statistics import (
     HOLD,
@@ -27,7 +27,8 @@ from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.registry import FAILURES, task_reports
 
 RELIABLE = 0.95  # final success of a seed
-FINAL_EPISODES = "config.evaluation.final_n_scenes"  # column of runs; damaged configs lack it
+FINAL_EPISODES = f"{CONFIG_PREFIX}evaluation.final_n_scenes"
+"""Column of runs, which runs with a damaged config lack."""
 
 
 @dataclass(frozen=True)

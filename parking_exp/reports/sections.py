@@ -11,7 +11,8 @@ import matplotlib.figure
 
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError
-from parking_exp.figure_style import clean, report_style
+from parking_exp.figure_style import report_style
+from parking_exp.phrases import printable_line
 from parking_exp.report_section import Section, SectionFigure, Table
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves
 from parking_exp.reports.figures.comparison_figures import draw_pairs, draw_two_factors
@@ -228,7 +229,7 @@ def _draw_figure(
     for number, (image, caption) in enumerate(figure.draw(report), start=1):
         name = figure.name if number == 1 else f"{figure.name}_{number}"
         svg = _save(image, folder / name, formats)
-        yield DrawnFigure(name, figure.title, clean(caption), svg, section)
+        yield DrawnFigure(name, figure.title, printable_line(caption), svg, section)
 
 
 def _save(figure: matplotlib.figure.Figure, stem: Path, formats: Sequence[str]) -> bytes:

@@ -24,11 +24,13 @@ from parking_exp.results.artifact_parsers import (
     REQUIRED_TYPES,
 )
 from parking_exp.results.frames import (
+    CONFIG_PREFIX,
     FINAL_COLUMNS,
     RUN_TYPES,
     TEXT,
     Results,
     as_results_error,
+    config_columns,
     run_category,
     setting_column,
     typed_curves,
@@ -40,9 +42,14 @@ from parking_exp.tasks.registry import added_metrics
 
 REPORT = "report.json"
 FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", REPORT)
-LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
+LOCAL_COLUMNS = (
+    "run_dir",
+    "artifact_uri",
+    f"{CONFIG_PREFIX}output_dir",
+    f"{CONFIG_PREFIX}tracking.uri",
+)
 """Columns of runs that name a place on the machine; an export has none of them."""
-LABEL_COLUMNS = ["config.label", "config.contrasts"]
+LABEL_COLUMNS = [f"{CONFIG_PREFIX}label", f"{CONFIG_PREFIX}contrasts"]
 """Columns of runs with labels, in which slashes separate no folders."""
 ABSOLUTE_PATH = re.compile(
     r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?"
@@ -130,7 +137,7 @@ def without_paths(words: str) -> str:
 def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs without columns that name a place, with the config as text, as MLflow has it."""
     kept = runs.drop(columns=[*LOCAL_COLUMNS], errors="ignore")
-    config = kept.filter(regex=r"^config\.").astype(object)
+    config = kept[config_columns(kept)].astype(object)
     kept = kept.assign(**config.where(config.notna(), None).map(encode_setting))
     texts = kept.select_dtypes(["object", "string"]).drop(columns=LABEL_COLUMNS, errors="ignore")
     return kept.assign(**texts.map(without_paths, na_action="ignore"))
@@ -155,7 +162,7 @@ def _read_runs(path: Path) -> pd.DataFrame:
     for name in timestamps:
         runs[name] = pd.to_datetime(runs[name], format="ISO8601", utc=True)
     versions = sorted(map(str, runs.filter(regex=r"^version\.")))
-    settings = sorted(map(str, runs.filter(regex=r"^config\.")))
+    settings = sorted(config_columns(runs))
     for name in settings:
         texts = runs[name].astype(object).where(runs[name].notna(), None)
         runs[name] = config_column(texts)

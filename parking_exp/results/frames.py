@@ -34,6 +34,8 @@ from parking_exp.tracking.store import Store
 if TYPE_CHECKING:
     from mlflow.entities import Run
 
+CONFIG_PREFIX = "config."
+"""Prefix of the columns of `Results.runs` with the config."""
 STATUSES = ("done", "running", "failed", "interrupted")
 # Metrics and their columns.
 FINAL_COLUMNS = {f"final/{metric.key}": metric.run_column for metric in METRICS}
@@ -194,12 +196,8 @@ def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) ->
     metrics = pd.DataFrame([run.data.metrics for run in stored])
     infos = pd.DataFrame([dict(run.info) for run in stored])
     added = added_metrics(metrics.columns, "final/")
-    final = FINAL_COLUMNS | {f"final/{name}": name for name in added}
-    columns = COST_COLUMNS | final
-    types = RUN_TYPES | dict.fromkeys(added, "float64")
+    numbers = _final_numbers(metrics, added, is_done=tags["status"] == "done")
 
-    numbers = metrics.reindex(columns=[*columns]).rename(columns=columns)
-    numbers.loc[tags["status"] != "done", [*final.values()]] = np.nan
     runs = pd.concat([tags.reindex(columns=[*TAG_COLUMNS]), numbers], axis=1)
     runs[["run_id", "artifact_uri"]] = infos[["run_id", "artifact_uri"]]
     runs["experiment"] = infos["experiment_id"].map({value: name for name, value in ids.items()})
@@ -211,6 +209,7 @@ def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) ->
         milliseconds = infos[time].astype("Int64")
         runs[column] = pd.to_datetime(milliseconds, unit="ms", utc=True, errors="coerce")
     runs["steps"] = 0
+    types = RUN_TYPES | dict.fromkeys(added, "float64")
     runs = runs.reindex(columns=[*types]).astype(types)
 
     versions = tags.filter(regex=r"^version\.").sort_index(axis="columns").astype(TEXT)
@@ -218,12 +217,26 @@ def _make_runs(store: Store, stored: Sequence["Run"], ids: Mapping[str, str]) ->
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 
 
+def _final_numbers(metrics: pd.DataFrame, added: Sequence[str], is_done: pd.Series) -> pd.DataFrame:
+    """Return costs and final metrics of runs; only finished runs have final metrics."""
+    final = FINAL_COLUMNS | {f"final/{name}": name for name in added}
+    columns = COST_COLUMNS | final
+    numbers = metrics.reindex(columns=[*columns]).rename(columns=columns)
+    numbers.loc[~is_done, [*final.values()]] = np.nan
+    return numbers
+
+
+def config_columns(runs: pd.DataFrame) -> list[str]:
+    """Return the names of the columns of `Results.runs` with the config."""
+    return [name for name in map(str, runs) if name.startswith(CONFIG_PREFIX)]
+
+
 def _with_configs(runs: pd.DataFrame, configs: Mapping[str, FlatConfig]) -> pd.DataFrame:
     """Return runs with the columns of their configs, which are given by run id."""
     rows = [configs.get(run_id, {}) for run_id in runs["run_id"]]
     columns = {}
     for key in sorted(set().union(*rows)):
-        columns[f"config.{key}"] = setting_column([row.get(key) for row in rows])
+        columns[CONFIG_PREFIX + key] = setting_column([row.get(key) for row in rows])
     return pd.concat([runs, pd.DataFrame(columns)], axis=1)
 
 

@@ -124,7 +124,7 @@ class RunDirectory:
             entries = changed.model_dump(exclude_none=True)
             write_json(self.path / STATUS_FILE, entries, durable=durable)
 
-    def result(self) -> RunResult | None:
+    def read_result(self) -> RunResult | None:
         """Return the stored result of a finished run; None if there is none, or it is damaged."""
         entries = self.read_status()
         if entries.status != "done":
@@ -205,7 +205,7 @@ class RunDirectory:
         with suppress(OSError):
             write_json(self.path / HEARTBEAT_FILE, {"time": time.time(), **values}, durable=False)
 
-    def config(self) -> RunConfig:
+    def read_config(self) -> RunConfig:
         """Read the run's config; see `run_files.read_config`."""
         return read_config(self.path, self.output_dir)
 

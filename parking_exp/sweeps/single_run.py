@@ -44,9 +44,9 @@ def _train_or_keep(config: RunConfig) -> RunResult:
     """Train a checked run, or keep its result; return the result."""
     directory = RunDirectory(config.run_dir)
     writer = StoreWriter([config], partial(say, stderr=True))
-    if directory.result() is None or directory.needs_evaluation(config):
+    if directory.read_result() is None or directory.needs_evaluation(config):
         check_device(config.device)
-    if directory.result() is None:
+    if directory.read_result() is None:
         check_sources([config])
     try:
         with directory.supervisor_lock(), directory.training_lock():
@@ -62,7 +62,7 @@ def _train_or_keep(config: RunConfig) -> RunResult:
         lines = [reason]
         adopt_store(directory, config)
         writer.complete_stores([directory])
-    result = directory.result()
+    result = directory.read_result()
     assert result is not None
     say(*lines, *_closing_lines(result, directory))
     return result
@@ -70,7 +70,7 @@ def _train_or_keep(config: RunConfig) -> RunResult:
 
 def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
     """Return why the result of a run is kept; None if there is none, or it is evaluated again."""
-    if directory.result() is None:
+    if directory.read_result() is None:
         return None
     if not directory.needs_evaluation(config):
         return "already done; to train it again, change the seed or delete its directory"
@@ -80,7 +80,7 @@ def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
 
 def _begin(directory: RunDirectory, config: RunConfig) -> None:
     """Plan a run as a sweep would, and record that this process begins it."""
-    if directory.result() is not None:
+    if directory.read_result() is not None:
         say("already trained; its final model is evaluated again, with other settings")
     (own_label,) = label_cells([flatten_config(config.plain())], [config.cell_name])
     planned_label = directory.read_status().label  # in a sweep

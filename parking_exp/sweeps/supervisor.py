@@ -63,7 +63,7 @@ def supervise(
 def _run(directory: RunDirectory, process: WorkerProcess, stop: StopRequest) -> WorkerResult:
     """Start a run's process, and return how the run ended."""
     try:
-        config = directory.config()
+        config = directory.read_config()
         if config.run_dir != directory_path(directory.path):
             raise ConfigError(
                 f"{directory.path / CONFIG_FILE} is the config of another run; rerun the sweep"

@@ -46,7 +46,7 @@ def work(path: Path, cores: Sequence[int], environment: Mapping[str, str]) -> No
 def _train(directory: RunDirectory, n_threads: int) -> int:
     """Train a run, and return the exit status of its process."""
     try:
-        config = directory.config()
+        config = directory.read_config()
         with no_garbage_collection(freeze=True):
             import torch  # reads cores and environment, which `work` has set
 
@@ -58,7 +58,7 @@ def _train(directory: RunDirectory, n_threads: int) -> int:
         # Slurm signals every process of a job, and the supervisor passes on its own signal. The
         # second signal must not interrupt the checkpoint.
         with unfailing_output(), directory.training_lock(), stop_on_signal(None) as stop:
-            if directory.result() is None:  # else another worker has finished it
+            if directory.read_result() is None:  # else another worker has finished it
                 check_device(config.device)
                 # The sweep writes the store.
                 train_run(config, directory, stop, on_saved=lambda _: None)

@@ -1,31 +1,15 @@
 """Stable-Baselines3's VecEnv of episodes that are simulated together."""
 
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from parking_exp.tasks.task import EvaluationBatch, GoalReward, Observation
+from parking_exp.tasks.task import GoalReward, TrainingBatch
 from parking_exp.tasks.task_config import TaskConfig
-
-
-class TrainingBatch(EvaluationBatch, Protocol):
-    """Episodes that are stepped together, of which each can start anew."""
-
-    def start(self, episodes: Any, rows: np.ndarray | None = None) -> None:
-        """Start other episodes, in all rows or in some."""
-
-    def observe(self, rows: Any = ...) -> Observation:
-        """Return the observations of all episodes, or of some."""
-
-    def get_state(self) -> dict[str, np.ndarray]:
-        """Return a copy of the state."""
-
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Restore a state; what follows is identical."""
 
 
 class BatchVecEnv(VecEnv):

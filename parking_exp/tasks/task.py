@@ -4,7 +4,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -91,7 +91,7 @@ class Policy(ABC):
         return {}
 
 
-class EvaluationBatch(Protocol):
+class EvaluationBatch(ABC):
     """Episodes that are stepped together, each from its own seed, without autoreset."""
 
     @abstractmethod
@@ -120,6 +120,26 @@ class EvaluationBatch(Protocol):
     def info(self, row: int) -> Mapping[str, Any]:
         """Return the last `info` of an episode that has just ended, as `Episode.info`."""
         return {}
+
+
+class TrainingBatch(EvaluationBatch):
+    """Episodes that are stepped together, of which each can start anew."""
+
+    @abstractmethod
+    def start(self, episodes: Any, rows: np.ndarray | None = None) -> None:
+        """Start other episodes, in all rows or in some."""
+
+    @abstractmethod
+    def observe(self, rows: Any = slice(None)) -> Observation:
+        """Return the observations of all episodes, or of some."""
+
+    @abstractmethod
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return a copy of the state."""
+
+    @abstractmethod
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Restore a state; what follows is identical."""
 
 
 class Task(ABC):

@@ -8,7 +8,13 @@ import numpy as np
 from gymnasium import spaces
 
 from parking_exp.errors import class_and_message
-from parking_exp.tasks.task import EvaluationBatch, GoalReward, Observation, Step, Task
+from parking_exp.tasks.task import (
+    GoalReward,
+    Observation,
+    Step,
+    Task,
+    TrainingBatch,
+)
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
@@ -105,7 +111,7 @@ class TaskReward(GoalReward):
         return self.task.reward(achieved, desired)
 
 
-class ArrayBatch(EvaluationBatch):
+class ArrayBatch(TrainingBatch):
     """Episodes of a task that are stepped together, without autoreset."""
 
     def __init__(self, task: VectorizedTask, seeds: Sequence[int]) -> None:
@@ -115,9 +121,9 @@ class ArrayBatch(EvaluationBatch):
     def __len__(self) -> int:
         return len(self.state["steps"])
 
-    def start(self, seeds: Sequence[int], rows: np.ndarray | None = None) -> None:
+    def start(self, episodes: Sequence[int], rows: np.ndarray | None = None) -> None:
         """Start the episodes of some seeds, in all rows or in some."""
-        state = {**self.task.start(seeds), "steps": np.zeros(len(seeds), np.int64)}
+        state = {**self.task.start(episodes), "steps": np.zeros(len(episodes), np.int64)}
         if rows is None:
             self.state = state
             return

@@ -52,7 +52,7 @@ class RunSnapshot:
 
 def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
     """Return what a store should have of a run directory."""
-    config = directory.config()
+    config = directory.read_config()
     status = status_for_store(directory)
     files = files_for_store(directory, status)
     first_name = f"{config.cell_name}-seed={config.seed}"

@@ -29,7 +29,7 @@ def evaluate_final(session: RunSession) -> pd.DataFrame:
     config = session.config
     settings = config.evaluation
     metrics = session.task.metrics
-    session.bar.show_activity("final evaluation")
+    session.display.show_activity("final evaluation")
     cross_checked = cross_checked_seeds(config)
     # Cross-checked episodes have batches of their own: the last bits of actions depend on the
     # batch.
@@ -43,7 +43,7 @@ def evaluate_final(session: RunSession) -> pd.DataFrame:
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
 
     summary = session.record_evaluation(episodes.head(settings.n_scenes), "eval")
-    session.bar.say(describe_rates(summary, session.step, metrics))
+    session.display.say(describe_rates(summary, session.step, metrics))
     session.record_evaluation(episodes, "final")
     problem = _cross_check(session, cross_checked, parts[0]) if cross_checked else None
     session.dump_metrics()
@@ -54,11 +54,11 @@ def evaluate_final(session: RunSession) -> pd.DataFrame:
     title = f"{config.experiment_name}: {directory.path.parent.name}"
     plot_learning_curves(session.metrics_log.frame(), metrics, title, directory.path / CURVES_FILE)
     if settings.video_episodes:
-        session.bar.show_activity("video")
+        session.display.show_activity("video")
         filmed = settings.seeds(settings.video_episodes)
         reason = record_video(session.policy, session.task, filmed, directory.path / VIDEO_FILE)
         if reason is not None:
-            session.bar.say(reason)
+            session.display.say(reason)
     if problem is not None:
         raise CrossCheckError(problem)
     return episodes
@@ -70,7 +70,7 @@ def _cross_check(session: RunSession, seeds: Sequence[int], episodes: pd.DataFra
     reference = session.config.env.simulators[-1]
     repeated = episodes
     if simulator != reference:
-        session.bar.show_activity(f"cross-check on {reference}")
+        session.display.show_activity(f"cross-check on {reference}")
         repeated = session.run_episodes(seeds, reference)
     session.record_evaluation(repeated, "certified")
 

@@ -20,7 +20,7 @@ from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Policy
 from parking_exp.training.checkpoints import SavedProgress
 from parking_exp.training.loggers import make_logger
-from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.progress_display import ProgressDisplay
 from parking_exp.training.signals import StopRequest
 from parking_exp.training.trackers import RunTrackers
 
@@ -79,18 +79,18 @@ class RunSession(ABC):
         log_row = context.trackers.log
         self.logger = make_logger(config.tracking, path, self.metrics_log, label, log_row)
         resources.callback(self.logger.close)
-        self.bar = TrainingProgress(
+        self.display = ProgressDisplay(
             config.total_timesteps,
             progress.step,
             config.tracking.progress_bar,
             heartbeat=directory.heartbeat,
         )
-        resources.callback(self.bar.close)
-        self.bar.say(
+        resources.callback(self.display.close)
+        self.display.say(
             f"{config.cell_name}, seed {config.seed}: {config.total_timesteps} env steps, in {path}"
         )
         for note in self.task.notes():
-            self.bar.say(note)
+            self.display.say(note)
 
     @property
     @abstractmethod
@@ -133,7 +133,7 @@ class RunSession(ABC):
 
         def on_progress(n_finished: int) -> None:
             self.stop_if_asked()
-            self.bar.show_episodes(n_finished, n_episodes)
+            self.display.show_episodes(n_finished, n_episodes)
 
         return on_progress
 

@@ -72,21 +72,21 @@ class TrainingSession(RunSession):
             self._rollout_state = checkpoints.restore(
                 checkpoint, self.model, self.policy_ema, self._best
             )
-            self.bar.say(f"resuming at step {progress.step}")
+            self.display.say(f"resuming at step {progress.step}")
 
     def _add_demonstrations(self) -> None:
         """Fill the demonstration buffer, and count the CPU time of recording it.
 
         It counts even if another run has recorded them.
         """
-        self.bar.show_activity("demonstrations")
+        self.display.show_activity("demonstrations")
         before_s = time.process_time()
         n_episodes = self.config.buffer.demonstrations
         stats = demonstrations.add_demonstrations(
             self.config, self.task, self.model, self.progress_callback(n_episodes)
         )
         self._cpu_start += time.process_time() - before_s - stats.cpu_s
-        self.bar.say(f"demonstrations: {stats.n_successes} of {n_episodes} reach the goal")
+        self.display.say(f"demonstrations: {stats.n_successes} of {n_episodes} reach the goal")
 
     @property
     def step(self) -> int:
@@ -108,13 +108,13 @@ class TrainingSession(RunSession):
 
     def evaluate(self) -> None:
         """Evaluate the model on the first of the fixed episodes."""
-        self.bar.show_activity("evaluation")
+        self.display.show_activity("evaluation")
         settings = self.config.evaluation
         with self.evaluated_policy():
             episodes = self.run_episodes(settings.seeds(settings.n_scenes))
             summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
-        self.bar.say(describe_rates(summary, self.step, self.task.metrics))
+        self.display.say(describe_rates(summary, self.step, self.task.metrics))
 
     def restore_rollout_state(self) -> None:
         """Set the rollout state of the checkpoint that the run was resumed from, once."""
@@ -219,7 +219,7 @@ class RolloutCallback(BaseCallback):
     def _update_bar(self) -> None:
         returns = [episode["r"] for episode in self.model.ep_info_buffer or ()]
         success_rate = safe_mean(self.model.ep_success_buffer or [])
-        self.session.bar.update(self.num_timesteps, success_rate, safe_mean(returns))
+        self.session.display.update(self.num_timesteps, success_rate, safe_mean(returns))
 
 
 def _is_due(step: int, last: int, every: int | None) -> bool:

@@ -128,7 +128,7 @@ def success_auc(directory: RunDirectory) -> float:
     for record in read_metrics(directory.path / METRICS_FILE):
         if "eval/success_rate" in record["metrics"]:
             rates[record["step"]] = record["metrics"]["eval/success_rate"]
-    result = directory.result()
+    result = directory.read_result()
     if result is not None and "final/success_rate" in result.metrics:
         rates[result.steps] = result.metrics["final/success_rate"]
     if not rates:

@@ -68,10 +68,10 @@ class Transitions:
             for e, h in zip(end, how, strict=True)
         ]
         action = np.stack([self.episode, self.index], axis=1).astype(np.float32)
-        transition = (
-            self.observation(self.index), self.observation(self.index + 1), action,
-            -(100.0 * self.episode + self.index), end, infos,
-        )  # fmt: skip
+        reward = -(100.0 * self.episode + self.index)
+        observation = self.observation(self.index)
+        next_observation = self.observation(self.index + 1)
+        transition = observation, next_observation, action, reward, end, infos
         self.index += 1
         self.episode[end] += 1
         self.index[end] = 0
@@ -169,9 +169,8 @@ def test_an_episode_longer_than_the_buffer_keeps_its_end():
     drawn = ours.sample(5000)
     assert set(drawn.actions[:, 1].tolist()) == set(range(15, 25))
     assert set(drawn.observations["desired_goal"][1000:, 0].tolist()) == set(range(16, 26))
-    ours.add(
-        *next(transitions)
-    )  # the next one overwrites its beginning: it is forgotten as a whole
+    # The next transition overwrites the beginning of the episode, which is forgotten as a whole.
+    ours.add(*next(transitions))
     assert drawable(ours) == []
 
 
@@ -214,6 +213,29 @@ def test_random_takes_goals_from_everything_stored():
     assert abs(np.corrcoef(drawn, goals)[0, 1]) < 0.02
 
 
+class Drawn:
+    """A relabelled transition of a batch, and where it comes from by its fields."""
+
+    def __init__(self, batch, row, ends):
+        achieved = batch.observations["achieved_goal"][row].int().tolist()
+        self.index, self.env, _, self.episode, *_ = achieved
+        self.goal = batch.observations["desired_goal"][row].numpy()
+        self.reward = batch.rewards[row].item()
+        self.done = batch.dones[row].item()
+        self.last, self.how = ends[self.env, self.episode]
+        self.is_last = self.index == self.last
+        self.has_ended = self.is_last and self.how != "timeout"
+        self.is_crash = self.is_last and self.how == "crash"
+        # The virtual goal is the goal achieved before transition `goal_index`.
+        self.goal_index = self.goal[0]
+        self.has_own_goal = self.goal_index == -1
+        self.leads_to_crash = self.how == "crash" and self.goal_index == self.last + 1
+
+    def achieved(self, index):
+        """The goal achieved before a transition of its episode."""
+        return np.array([index, self.env, index, self.episode, 0, 0.0])
+
+
 @pytest.mark.parametrize("strategy", ["future", "episode"])
 @pytest.mark.parametrize(
     ("n_envs", "offset"),
@@ -228,64 +250,59 @@ def test_what_every_relabelled_transition_carries(
     reward, n_envs, offset, velocity, collision, terminated, strategy
 ):
     """Goal, reward, end and crash, worked out from the fields, after wrap-around."""
-    relabel = {
-        "relabel_collision": collision,
-        "relabel_terminated": terminated,
-        "goal_velocity": velocity,
-    }
     ours = make(
-        size=40 * n_envs, n_envs=n_envs, reward=reward, goal_selection_strategy=strategy, **relabel
+        size=40 * n_envs,
+        n_envs=n_envs,
+        reward=reward,
+        goal_selection_strategy=strategy,
+        relabel_collision=collision,
+        relabel_terminated=terminated,
+        goal_velocity=velocity,
     )
-    transitions, kept, cases = Transitions(n_envs, offset=offset), 0, set()
+    transitions = Transitions(n_envs, offset=offset)
     fill(transitions, 333, ours)
     assert ours.storage.compact == (offset == 0)
+
+    # With `env`, the virtual goal may be reached where the transition begins.
+    may_begin_at_goal = terminated == "env" and strategy == "episode"
+    n_own_goals = 0
+    cases = set()
     for _ in range(5):
         batch = ours.sample(100)
         for row in range(20, 100):
-            index, env, _, episode, *_ = batch.observations["achieved_goal"][row].int().tolist()
-            goal = batch.observations["desired_goal"][row].numpy()
-            later, (last, how) = goal[0], transitions.ends[env, episode]
-            crashed = how == "crash" and index == last
-            if later == -1:  # it keeps the goal that it had
-                # A virtual goal is a crash where it is the last; `env`: it may be where the
-                # transition begins.
-                assert (collision, how) == ("exclude", "crash") or (terminated, strategy) == (
-                    "env",
-                    "episode",
-                )
-                assert batch.rewards[row].item() == -(100.0 * episode + index)
-                assert batch.dones[row].item() == (index == last and how != "timeout")
-                kept += 1
+            drawn = Drawn(batch, row, transitions.ends)
+            if drawn.has_own_goal:
+                # A virtual goal is a crash where it is the last of an episode that ended so.
+                may_be_crash = collision == "exclude" and drawn.how == "crash"
+                assert may_be_crash or may_begin_at_goal
+                assert drawn.reward == -(100.0 * drawn.episode + drawn.index)
+                assert drawn.done == drawn.has_ended
+                n_own_goals += 1
                 continue
-            assert goal[1:].tolist() == [
-                env,
-                *((0, 0) if velocity == "zero" else (later, episode)),
-                0,
-                0,
-            ]
-            assert index < later or strategy == "episode"
-            assert later <= last + 1
-            assert not (
-                collision == "exclude" and (crashed or (how == "crash" and later == last + 1))
-            )
-            assert not (
-                terminated == "env" and reward(np.array([index, env, 0, 0, 0, 0.0]), goal)[1]
-            )
-            goal_reward, reached = reward(
-                np.array([index + 1, env, index + 1, episode, 0, 0.0]), goal
-            )
-            assert reached == (later == index + 1)
-            penalty = (
-                (-20.0 if reward is SPARSE else -5.0) if crashed and collision == "keep" else 0.0
-            )
-            assert batch.rewards[row].item() == np.float32(goal_reward + penalty)
-            real_end = index == last and how != "timeout"
-            expected = {"sb3": real_end, "goal": reached}.get(terminated, reached or crashed)
-            assert batch.dones[row].item() == expected
-            cases.add((bool(reached), crashed))
-    assert ours.real_share == (100 + kept) / 500
+
+            velocity_of_goal = (0, 0) if velocity == "zero" else (drawn.goal_index, drawn.episode)
+            assert drawn.goal[1:].tolist() == [drawn.env, *velocity_of_goal, 0, 0]
+            assert drawn.index < drawn.goal_index or strategy == "episode"
+            assert drawn.goal_index <= drawn.last + 1
+            if collision == "exclude":
+                assert not drawn.is_crash
+                assert not drawn.leads_to_crash
+            if terminated == "env":
+                assert not reward(drawn.achieved(drawn.index), drawn.goal)[1]
+
+            goal_reward, reached = reward(drawn.achieved(drawn.index + 1), drawn.goal)
+            assert reached == (drawn.goal_index == drawn.index + 1)
+            penalty = 0.0
+            if drawn.is_crash and collision == "keep":
+                penalty = -20.0 if reward is SPARSE else -5.0
+            assert drawn.reward == np.float32(goal_reward + penalty)
+            ends = {"sb3": drawn.has_ended, "goal": reached}
+            assert drawn.done == ends.get(terminated, reached or drawn.is_crash)
+            cases.add((bool(reached), drawn.is_crash))
+
+    assert ours.real_share == (100 + n_own_goals) / 500
     assert len(cases) > 1
-    assert (kept > 0) == (collision == "exclude" or (terminated, strategy) == ("env", "episode"))
+    assert (n_own_goals > 0) == (collision == "exclude" or may_begin_at_goal)
 
 
 @pytest.mark.parametrize("n_envs", [1, 8])
@@ -298,9 +315,8 @@ def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs, monkeypa
         fill(transitions, 1, ours, theirs)
         index = np.arange(len(ours.episodes))
         row, env = np.divmod(index, n_envs)
-        monkeypatch.setattr(
-            np.random, "randint", lambda *_, env=env, **__: env
-        )  # their draw of the envs
+        # Their draw of the envs.
+        monkeypatch.setattr(np.random, "randint", lambda *_, env=env, **__: env)
         assert_equal(batch_of(ours, index), theirs._get_samples(row))
     ours.rng = np.random.default_rng(0)
     batch = ours.sample(20_000)

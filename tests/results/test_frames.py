@@ -207,7 +207,7 @@ def test_a_run_that_was_stored_twice_is_a_problem(output_dir, tmp_path):
     results = load("e", output_dir=output_dir)
     assert len(results.runs) == 2
     assert results.problems == (
-        f"e, {twin.config().cell_name}, seed 0: several runs have this cell and seed",
+        f"e, {twin.read_config().cell_name}, seed 0: several runs have this cell and seed",
     )
 
 
@@ -248,7 +248,7 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
     log = MetricsLog(smoke.path / "metrics.jsonl")
     latest = log.latest()
     run = row(results.runs, smoke)
-    config = smoke.config()
+    config = smoke.read_config()
     expected = {
         "experiment": "smoke",
         "cell": config.cell_name,

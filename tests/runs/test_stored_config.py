@@ -16,7 +16,7 @@ def directory(tmp_path):
 
 
 def test_a_stored_config_is_read_back_as_it_was(directory, tmp_path):
-    assert directory.config() == compose("experiment=smoke", f"output_dir={tmp_path}")
+    assert directory.read_config() == compose("experiment=smoke", f"output_dir={tmp_path}")
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_a_stored_config_that_does_not_fit_the_schema_is_refused(directory, old,
     assert old in text
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(ConfigError, match=r"config\.yaml") as refused:
-        directory.config()
+        directory.read_config()
     assert named in str(refused.value)
 
 
@@ -44,6 +44,6 @@ def test_a_stored_config_that_is_damaged_is_refused_in_one_sentence(directory, c
     path = directory.path / "config.yaml"
     path.write_bytes(content)
     with pytest.raises(ConfigError) as refused:
-        directory.config()
+        directory.read_config()
     assert str(refused.value).startswith(f"{path} can't be read: ")
     assert "\n" not in str(refused.value)

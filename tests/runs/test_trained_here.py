@@ -60,7 +60,7 @@ def test_a_copy_from_elsewhere_is_refused_whatever_it_brings(trained, state_home
 def test_another_config_in_its_place_is_refused(trained, tmp_path):
     shutil.copytree(trained, tmp_path / "outputs")
     run = only_run(tmp_path / "outputs")
-    record_training(run.path, run.config())
+    record_training(run.path, run.read_config())
     assert was_trained_here(run.path)
     config = run.path / "config.yaml"
     config.write_text(config.read_text().replace("SavesExtraNetwork", "Exits"))
@@ -77,7 +77,7 @@ def test_a_link_to_an_own_run_is_that_run(trained, tmp_path):
 
 def test_runs_without_own_classes_are_not_recorded(smoke, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    record_training(smoke.path, smoke.config())
+    record_training(smoke.path, smoke.read_config())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -85,7 +85,7 @@ def test_an_own_run_is_recorded_once(trained, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     run = only_run(trained)
     for _ in range(2):
-        record_training(run.path, run.config())
+        record_training(run.path, run.read_config())
     assert len((tmp_path / "parking_exp" / "trained_here").read_text().splitlines()) == 1
 
 
@@ -97,6 +97,6 @@ def test_without_a_state_directory_there_is_no_record_and_training_goes_on(
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # as for a user without a home
     monkeypatch.chdir(tmp_path)
     run = only_run(trained)
-    record_training(run.path, run.config())
+    record_training(run.path, run.read_config())
     assert not was_trained_here(run.path)
     assert list(tmp_path.iterdir()) == []

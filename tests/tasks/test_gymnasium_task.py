@@ -276,7 +276,7 @@ def test_ctrl_c_reaches_the_processes_of_envs_too_and_the_run_resumes(tmp_path):
     assert len(list(directory.checkpoints.glob("step=*"))) == 1
     assert process.returncode == 130
     run_script("train", *arguments, f"output_dir={tmp_path}", code=0)
-    assert only_run(tmp_path).result().steps == 2000
+    assert only_run(tmp_path).read_result().steps == 2000
 
 
 def steps_of(output_dir):

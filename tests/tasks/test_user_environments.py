@@ -67,7 +67,7 @@ def test_a_run_whose_env_cannot_be_rendered_is_done_without_a_video(tmp_path, na
 )
 def test_what_stable_baselines3_trains_is_trained(tmp_path, name):
     train(tmp_path, name)
-    assert only_run(tmp_path).result().steps == 300
+    assert only_run(tmp_path).read_result().steps == 300
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_a_policy_that_needs_a_further_entry_is_learned(tmp_path):
         "algorithm.batch_size=256",
         "evaluation.final_n_scenes=20",
     )
-    assert only_run(tmp_path).result().metrics["final/success_rate"] >= 0.9
+    assert only_run(tmp_path).read_result().metrics["final/success_rate"] >= 0.9
 
 
 def test_a_run_of_one_env_makes_few_instances_and_closes_them(tmp_path):
@@ -175,7 +175,7 @@ def test_a_process_of_an_env_that_ends_is_reported_in_a_sentence(tmp_path):
 
 def test_a_task_has_the_metrics_of_its_own(tmp_path):
     train(tmp_path, "BitFlip")
-    metrics = only_run(tmp_path).result().metrics
+    metrics = only_run(tmp_path).read_result().metrics
     rates = {name for name in metrics if name.startswith("final/") and name.endswith("_rate")}
     assert rates == {"final/success_rate", "final/failure_rate", "final/timeout_rate"}
     assert make_task(config("BitFlip").env).failure == "failure"

@@ -107,7 +107,7 @@ def test_results_have_a_users_metrics_without_importing_them(without_module):
     (run,) = results.runs.to_dict("records")
     assert run["centred_rate"] == final["centred"].mean()
     assert run["last_speed_mean"] == final["last_speed"].mean()
-    metrics = directory.result().metrics
+    metrics = directory.read_result().metrics
     assert metrics["final/last_speed_mean"] == metrics["certified/last_speed_mean"]
 
     of_evaluations = episodes[episodes["phase"] == "eval"].groupby("step")["last_speed"].mean()

@@ -30,7 +30,7 @@ def finished(output_dir):
     directory = finished_run(output_dir)
     directory.models.mkdir(exist_ok=True)
     (directory.models / "final.zip").write_bytes(b"model" * 100)
-    result = directory.result()
+    result = directory.read_result()
     directory.finish(result.steps, result.metrics)
     sync(directory)
     return directory
@@ -155,7 +155,7 @@ def test_a_run_is_done_in_the_store_once_all_of_it_is_there(output_dir, monkeypa
     content = (first.path / "metrics.jsonl").read_bytes()
     (last.path / "metrics.jsonl").write_bytes(content)
     (last.path / "episodes.csv").write_text("phase,step\n")
-    result = first.result()
+    result = first.read_result()
     last.finish(result.steps, result.metrics)
     seen = []
     put = Store.put_artifact
@@ -175,7 +175,7 @@ def test_a_finished_run_has_its_success_rate_in_front_of_its_name(output_dir):
     directory = finished_run(output_dir)
     directory.update_status(success_rate=0.9876)
     sync(directory)
-    config, client = directory.config(), store(output_dir)
+    config, client = directory.read_config(), store(output_dir)
     assert client.get_run(directory.run_id).info.run_name == f"98.8% {config.cell_name}-seed=0"
     client.update_run(directory.run_id, name="mine")
     directory.update_status(command="another")
@@ -222,7 +222,7 @@ def test_without_the_hashes_of_a_result_changed_files_are_not_sent(finished):
 def test_a_run_that_is_evaluated_again_keeps_its_results_in_the_store_until_that_is_done(
     finished, status
 ):
-    before, run_id, result = stored_files(finished), finished.run_id, finished.result()
+    before, run_id, result = stored_files(finished), finished.run_id, finished.read_result()
     finished.reopen()
     sync(finished)
     write_json(finished.path / "provenance.json", {"started_ms": 1_800_000_000_000, "tags": {}})

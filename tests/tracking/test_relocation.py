@@ -68,7 +68,7 @@ def test_files_of_a_run_directory_do_not_name_the_output_directory(smoke, smoke_
         assert str(output_dir) not in json.dumps(rest), name
     assert read_json(smoke.path / "status.json")["tracking_uri"] == "sqlite:///mlflow.db"
     assert smoke.tracking_uri == default_uri(output_dir)
-    assert smoke.config().output_path == output_dir
+    assert smoke.read_config().output_path == output_dir
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, na
     client = store(output_dir)
     before = client.get_run(victim.run_id)
     tags = {
-        "run_key": victim.config().run_key,
+        "run_key": victim.read_config().run_key,
         "run_dir": str(victim.path.relative_to(output_dir)),
         "cpu": 5,
     }
@@ -178,7 +178,7 @@ def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, na
     assert directory.run_id != victim.run_id
     after, stored = (client.get_run(run.run_id) for run in (victim, directory))
     assert (after.info.lifecycle_stage, after.data.tags) == ("active", before.data.tags)
-    assert stored.data.tags["run_key"] == directory.config().run_key
+    assert stored.data.tags["run_key"] == directory.read_config().run_key
     if named_in == "provenance.json":
         assert stored.data.tags["version.torch"] == "9"
         assert stored.data.tags["cpu"] == "5"

@@ -20,7 +20,7 @@ def test_a_failed_store_is_named_once_and_a_run_tries_it_again_after_a_pause(
     clock = SimpleNamespace(monotonic=lambda: 1000.0)
     monkeypatch.setattr(store_writer, "time", clock)
     messages = []
-    writer = StoreWriter([first.config()], messages.append)
+    writer = StoreWriter([first.read_config()], messages.append)
     assert not writer.has_failed
     writer.sync(first)
     writer.sync(second)
@@ -52,7 +52,7 @@ def test_a_run_that_can_not_be_synced_keeps_no_other_run_from_the_store(output_d
     waiting = written_run(output_dir, seed=2)  # without a checkpoint
     paths = []
     messages = []
-    writer = StoreWriter([whole.config()], messages.append)
+    writer = StoreWriter([whole.read_config()], messages.append)
 
     with writer.syncing(lambda: paths):
         paths += [damaged.path, waiting.path, whole.path]

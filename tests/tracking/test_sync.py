@@ -139,7 +139,7 @@ def test_a_sync_that_is_killed_anywhere_is_completed_by_the_next_one(output_dir)
     assert_synced(first, *directories)
     for directory in directories:
         run = client.get_run(directory.run_id)
-        assert run.data.params == stored_params(directory.config())
+        assert run.data.params == stored_params(directory.read_config())
         assert run.data.tags["status"] == "done"
         assert artifacts(client, directory.run_id) == artifacts(client, first.run_id)
 
@@ -283,7 +283,7 @@ def test_a_run_whose_store_is_down_finishes_and_is_sent_later(tmp_path):
     assert "Traceback" not in done.stderr
     blocked.rmdir()
     assert sync_all(tmp_path) == []  # a new store has all runs
-    assert directory.result().run_id == directory.run_id is not None
+    assert directory.read_result().run_id == directory.run_id is not None
     assert_store_is_whole(tmp_path, 400)
     assert_synced(directory)
 

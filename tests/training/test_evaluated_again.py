@@ -57,15 +57,16 @@ def test_it_ends_as_a_run_that_had_these_settings_from_the_start(finished, train
     result = train_again(finished, *OTHER)
     reference = only_run(trained / "other")
     assert differences(finished.path, reference.path) == []
-    assert result.metrics["final/return_mean"] == reference.result().metrics["final/return_mean"]
+    expected = reference.read_result().metrics["final/return_mean"]
+    assert result.metrics["final/return_mean"] == expected
     assert not (finished.path / "video.mp4").exists()
-    assert finished.config().evaluation == reference.config().evaluation
+    assert finished.read_config().evaluation == reference.read_config().evaluation
     assert final_runs(finished) == [("7", result.metrics["final/return_mean"])]
     assert finished.run_id == result.run_id
 
 
 def test_settings_without_effect_evaluate_nothing(finished, capsys):
-    n_scenes = finished.config().evaluation.final_n_scenes  # all of which are cross-checked
+    n_scenes = finished.read_config().evaluation.final_n_scenes  # all of which are cross-checked
     before = (finished.path / "episodes.csv").stat().st_mtime_ns
     for setting in (
         "checkpoint.keep_last=5",

@@ -47,8 +47,8 @@ def test_a_run_of_the_planner_has_its_episodes_its_metrics_and_no_env_steps(plan
     assert set(table["step"]) == {0}
     assert set(table["outcome"]) == {"success"}
     assert (table["plan_s"] > 0).all()
-    assert directory.config().total_timesteps == 0
-    assert directory.result().steps == 0
+    assert directory.read_config().total_timesteps == 0
+    assert directory.read_result().steps == 0
     stored = store(output_dir).get_run(directory.run_id).data
     final = table[table["phase"] == "final"]
     assert stored.metrics["final/plan_s_mean"] == pytest.approx(final["plan_s"].mean())

@@ -90,7 +90,7 @@ def test_the_store_has_every_metric_of_an_evaluation(smoke):
 
 
 def test_the_store_has_the_resolved_config_and_what_was_run(smoke):
-    data, config = store(smoke.output_dir).get_run(smoke.run_id).data, smoke.config()
+    data, config = store(smoke.output_dir).get_run(smoke.run_id).data, smoke.read_config()
     assert data.params == stored_params(config)
     assert data.params["algorithm._target_"] == "parking_exp.algorithms.SAC"
     assert data.params["env.observation.scales"] == "[100.0, 100.0, 5.0, 5.0, 1.0, 1.0]"
@@ -138,7 +138,7 @@ def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_
     pd.testing.assert_frame_equal(
         table.loc["final"], table.loc["certified"].rename({"certified": "final"})
     )
-    metrics = smoke.result().metrics
+    metrics = smoke.read_result().metrics
     of_all = [metric.key for metric in METRICS if metric.key not in NEVER_MEASURED]
     for key in of_all:
         assert metrics[f"certified/{key}"] == metrics[f"final/{key}"]
@@ -184,7 +184,7 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
         train(config)
     directory = only_run(output_dir)
     assert directory.status == "failed"
-    assert directory.result() is None
+    assert directory.read_result() is None
     run = store(output_dir).get_run(directory.run_id)
     assert run.info.status == "FAILED"
     # The same command resumes from the last checkpoint: what came after that is not final.
@@ -195,7 +195,7 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
 
 def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     path = smoke.path
-    config = smoke.config()
+    config = smoke.read_config()
     monitor = load_results(str(path))
     assert set(monitor.columns) >= {"r", "l", "t", "is_success", "crashed"}
     assert monitor["l"].max() == 11  # training_duration of 2 s
@@ -221,7 +221,7 @@ def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke_copy):
     assert sorted(smoke_copy.path.rglob("*")) == before
     assert (
         train(compose("experiment=smoke", f"output_dir={smoke_copy.output_dir}"))
-        == smoke_copy.result()
+        == smoke_copy.read_result()
     )
 
 

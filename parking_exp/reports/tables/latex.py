@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from parking_exp.figure_style import clean
+from parking_exp.phrases import printable_line
 from parking_exp.report_section import Column, Row, Table
 from parking_exp.reports.tables.table import move_constants_to_caption
 
@@ -55,8 +55,8 @@ def _write_part(rows: Sequence[Row], columns: Sequence[Column], caption: str, la
     # The texts of each column, the heading first.
     texts = []
     for column in columns:
-        heading = _breakable(clean(column.title))
-        cells = [clean(column.write(row)) or "--" for row in rows]
+        heading = _breakable(printable_line(column.title))
+        cells = [printable_line(column.write(row)) or "--" for row in rows]
         if not column.numeric:
             cells = [_breakable(cell) for cell in cells]
         texts.append([heading, *cells])

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
-from parking_exp.figure_style import clean
+from parking_exp.phrases import printable_line
 from parking_exp.report_section import Column, Row, Table, plain_text
 from parking_exp.reports import formats
 from parking_exp.statistics import Interval, finite_or_none
@@ -24,7 +24,7 @@ def move_constants_to_caption(table: Table) -> Table:
         texts = {column.write(row) for row in table.rows}
         is_constant = len(table.rows) > 1 and len(texts) == 1
         if is_constant and (column.is_condition or texts == {""}):
-            text = clean(texts.pop()) or "not known"
+            text = printable_line(texts.pop()) or "not known"
             constants += f" {column.title} in every row: {text}."
         else:
             columns.append(column)

@@ -12,7 +12,7 @@ from parking_exp.tasks.parking.highway_lot import HighwayLot
 from parking_exp.tasks.parking.lot_config import (
     DIMENSIONS,
     GAP_M,
-    TINY,
+    ROUNDING,
     LotConfig,
     LotDimensions,
     bounds,
@@ -89,7 +89,7 @@ class ParametricLot(SampledLot):
         length, width = boxes.max(axis=0).tolist()
         self.size_m = (length, width)
         self.same_walls = bool((boxes == boxes[0]).all())
-        self.nearest_row_m = float(np.abs(slots[..., 1]).min()) - TINY
+        self.nearest_row_m = float(np.abs(slots[..., 1]).min()) - ROUNDING
 
     def typical(self) -> Scenes:
         """Return one scene, with the middle of all ranges, for drawings of the lot."""
@@ -232,10 +232,10 @@ handed: whether it differs from its mirror image.
 
 def lot_of(config: ParkingConfig) -> Lot:
     """Return the lot of an `env` group; several lots are combined into one."""
-    return make_lot(config.lot_configs.values(), config.vehicles_count, config.obstacles)
+    return combine_lots(config.lot_configs.values(), config.vehicles_count, config.obstacles)
 
 
-def make_lot(configs: Iterable[LotConfig], vehicles_count: Any, n_obstacles: int = 0) -> Lot:
+def combine_lots(configs: Iterable[LotConfig], vehicles_count: Any, n_obstacles: int = 0) -> Lot:
     """Combine the lots of some configs into one; without configs, return highway-env's lot.
 
     `vehicles_count` and `n_obstacles` are the env's.

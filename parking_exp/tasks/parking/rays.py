@@ -7,7 +7,7 @@ from parking_exp.tasks.parking.geometry import Rectangles, direction_of, in_fram
 from parking_exp.tasks.parking.parking_config import RAYS_RANGE_M
 from parking_exp.tasks.parking.sensor_wrapper import SensorWrapper
 
-_TINY = 1e-300  # in place of 0, which can't be divided by
+_SMALLEST_SLOPE = 1e-300  # in place of 0, which can't be divided by
 
 
 def ray_distances(
@@ -37,7 +37,7 @@ def ray_distances(
     angle = np.arange(rays) * (2 * np.pi / rays)
     heading = in_frame(direction[:, scene], axis[:, near])
     slope = in_frame(heading[..., None], direction_of(-angle)[:, None])
-    slope[slope == 0] = _TINY
+    slope[slope == 0] = _SMALLEST_SLOPE
     metres = np.divide(1.0, slope, out=slope)  # along the ray, for one along or across
     middle = metres * -offset[:, near, None]
     half = np.abs(metres, out=metres)

@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 from omegaconf import OmegaConf
 
-from parking_exp.tasks.parking.lot import Lot, make_lot
+from parking_exp.tasks.parking.lot import Lot, combine_lots
 from parking_exp.tasks.parking.lot_config import LotConfig
 
 
@@ -19,11 +19,11 @@ def stored_lot(config: Mapping[str, Any]) -> Lot:
             # In a frame, lists are text, and whole numbers may be floats.
             text = str(value).removesuffix(".0")
             settings.append(f"{key}={text}")
-    return _lot_of(tuple(settings))
+    return _combine_stored(tuple(settings))
 
 
 @cache
-def _lot_of(settings: tuple[str, ...]) -> Lot:
+def _combine_stored(settings: tuple[str, ...]) -> Lot:
     """Return the lot of some settings; cells with equal settings share the lot and its scenes."""
     stored: Any = OmegaConf.to_container(OmegaConf.from_dotlist(list(settings)))
     env = stored.get("env", {})
@@ -31,4 +31,4 @@ def _lot_of(settings: tuple[str, ...]) -> Lot:
     if "lot" in env:
         sections = [env["lot"]]
     lots = [LotConfig.model_validate(section) for section in sections]
-    return make_lot(lots, env.get("vehicles_count", 0))
+    return combine_lots(lots, env.get("vehicles_count", 0))

@@ -27,8 +27,8 @@ OmplPlanner = Literal[
 """Planners of OMPL that find paths here. PRM's threads would wait for Python forever."""
 SPEED_MPS = 2.5
 # Plans stay below the limits of the car, so that errors can be corrected.
-EASE = 0.6  # share of the limits of speed and acceleration that plans use
-RESERVE = 1.04  # factor on the car's smallest turning radius
+LIMIT_FRACTION = 0.6  # share of the limits of speed and acceleration that plans use
+RADIUS_FACTOR = 1.04  # factor on the car's smallest turning radius
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ class Planner(ScriptedPolicy):
         self._max_curvature = np.tan(limit("steering_range")) / CAR_LENGTH_M
         self._pace = Pace(
             step_s=self._dt * self._frames,
-            speed_mps=min(SPEED_MPS, EASE * limit("speed_range")),
-            acceleration_mps2=EASE * limit("acceleration_range"),
+            speed_mps=min(SPEED_MPS, LIMIT_FRACTION * limit("speed_range")),
+            acceleration_mps2=LIMIT_FRACTION * limit("acceleration_range"),
         )
         self._plans: dict[int, Plan] = {}
         self._batch: list[Plan] = []
@@ -147,7 +147,7 @@ class Planner(ScriptedPolicy):
             move_ahead(scenes.goal_pose[0], -REAR_AXLE_M),
             free_space,
             planner=self._planner,
-            radius_m=RESERVE / self._max_curvature,
+            radius_m=RADIUS_FACTOR / self._max_curvature,
             time_limit_s=self._time_limit_s,
             seed=max(path_seed, 1),
         )

@@ -142,9 +142,11 @@ class Collisions:
             self._resolve_parked_cars(state, fixtures)
 
     def _resolve_cars(self, state: SceneState, fixtures: Fixtures) -> None:
+        """Detect what the cars touch, and what they will touch in the next frame."""
         scene, target, shapes = self._near_cars(state, fixtures)
         if not len(scene):
             return
+
         polygons = np.empty((len(scene), 2, 4, 2))
         position = state.position.take(scene, axis=1)
         direction = state.direction.take(scene, axis=1)
@@ -221,6 +223,7 @@ class Collisions:
         return scene[near], fixture[near]
 
     def _resolve_parked_cars(self, state: SceneState, fixtures: Fixtures) -> None:
+        """Detect what parked cars will touch in the next frame, in scenes where one was pushed."""
         scenes = np.flatnonzero(state.pushed.any(axis=1))
         vehicles = state.vehicles[scenes]
         cars = _parked_cars(vehicles, state.vehicle_heading[scenes])
@@ -239,6 +242,7 @@ class Collisions:
         row = row[near]
         first = first[near]
         second = second[near]
+
         polygons = shapes[row[:, None], np.stack([first, second], axis=1)]
         _, soon, push = separating_axis(polygons, np.zeros((len(row), 2)))
         self._push(state, scenes[row[soon]], 1 + first[soon], second[soon], push[soon])

@@ -38,12 +38,12 @@ from parking_exp.tasks.parking.simulator.dynamics import (
     slip_angle,
 )
 from parking_exp.tasks.parking.simulator.scene_state import MOVING, SceneState, scaled_features
-from parking_exp.tasks.task import EvaluationBatch, Step
+from parking_exp.tasks.task import Step, TrainingBatch
 
 HALF_CAR_M = np.array([[CAR_LENGTH_M / 2], [CAR_WIDTH_M / 2]])
 
 
-class Simulator(EvaluationBatch):
+class Simulator(TrainingBatch):
     """Scenes of one env config that are simulated together, without autoreset.
 
     Args:
@@ -90,12 +90,12 @@ class Simulator(EvaluationBatch):
     def __len__(self) -> int:
         return len(self.state.heading)
 
-    def start(self, scenes: Scenes, rows: np.ndarray | None = None) -> None:
-        """Start anew, all scenes or the given rows."""
+    def start(self, episodes: Scenes, rows: np.ndarray | None = None) -> None:
+        """Start other scenes, in all rows or in some."""
         if rows is None:
-            self.state = SceneState.at_start(scenes)
+            self.state = SceneState.at_start(episodes)
         else:
-            self.state.put(rows, SceneState.at_start(scenes))
+            self.state.put(rows, SceneState.at_start(episodes))
 
     def keep(self, rows: np.ndarray) -> None:
         """Keep only some of the scenes, by index or mask."""

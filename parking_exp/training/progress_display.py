@@ -20,7 +20,7 @@ HEARTBEAT_S = 1.0
 LINE_S = 10.0  # between two lines of an activity without a terminal
 
 
-class TrainingProgress:
+class ProgressDisplay:
     """Progress of one run, with its success rate, return and speed; call `close` after use.
 
     Args:

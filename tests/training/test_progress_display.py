@@ -1,19 +1,19 @@
 """Tests of the progress that a run shows, and of its heartbeat."""
 
-from parking_exp.training import progress
-from parking_exp.training.progress import TrainingProgress
+from parking_exp.training import progress_display
+from parking_exp.training.progress_display import ProgressDisplay
 
 
 def test_without_a_terminal_a_long_activity_has_a_line_now_and_then(monkeypatch, capsys):
     clock = Clock()
-    monkeypatch.setattr(progress.time, "monotonic", clock)
+    monkeypatch.setattr(progress_display.time, "monotonic", clock)
     beats = []
-    bar = TrainingProgress(100, 0, enabled=True, heartbeat=lambda **beat: beats.append(beat))
-    bar.show_activity("demonstrations")
+    display = ProgressDisplay(100, 0, enabled=True, heartbeat=lambda **beat: beats.append(beat))
+    display.show_activity("demonstrations")
     for n_finished in range(12):
-        bar.show_episodes(n_finished, 40)
+        display.show_episodes(n_finished, 40)
         clock.now += 2
-    bar.close()
+    display.close()
     assert capsys.readouterr().err.splitlines() == [
         "demonstrations  5 of 40 episodes",
         "demonstrations  10 of 40 episodes",
