@@ -1,4 +1,4 @@
-# Every target depends on the set-up. PYTHON is the interpreter of .venv; default: the first one found in 3.11 to 3.13.
+# Targets that need the set-up make it first. PYTHON is the interpreter of .venv; default: the first one found in 3.11 to 3.13.
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c '$(FITS)' 2>/dev/null && echo $$p && break; done)

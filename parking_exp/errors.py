@@ -23,7 +23,7 @@ class ConfigError(ParkingError, ValueError):
 
 
 class RunNotFoundError(ParkingError, LookupError):
-    """No run matches the given name."""
+    """There is no such run, or none that is finished."""
 
 
 class UntrustedError(ParkingError):

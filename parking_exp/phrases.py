@@ -18,7 +18,7 @@ def printable_line(text: str) -> str:
 
 
 def quoted_label(label: str) -> str:
-    """Return a label for a sentence: in quotes if it contains commas."""
+    """Return a label for a sentence: in quotes if it contains commas or semicolons."""
     return f"“{label}”" if "," in label or ";" in label else label
 
 

@@ -14,7 +14,7 @@ COMMANDS = {"train", "tune", "status", "report", "evaluate", "export"}
 WIDE = 1000  # columns of a file or pipe, where lines are not wrapped
 
 
-def printable(line: str) -> str:
+def escape_unprintable(line: str) -> str:
     r"""Escape what can't be printed or encoded in a line, e.g. as `\x1b`, `\n` or `\u202e`."""
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
@@ -24,7 +24,7 @@ def printable(line: str) -> str:
 
 def say(*lines: str, stderr: bool = False) -> None:
     """Print lines; a line break within one is shown as `\\n`."""
-    print(*map(printable, lines), sep="\n", file=sys.stderr if stderr else sys.stdout)
+    print(*map(escape_unprintable, lines), sep="\n", file=sys.stderr if stderr else sys.stdout)
 
 
 class _UnfailingStream:
@@ -118,7 +118,7 @@ class Screen(Console):
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Escape a string; rich calls this for every line and table cell."""
-        return super().render_str(printable(text), **options)
+        return super().render_str(escape_unprintable(text), **options)
 
 
 def make_console(*, stderr: bool = False) -> Console:
@@ -129,8 +129,9 @@ def make_console(*, stderr: bool = False) -> Console:
 
 def is_script() -> bool:
     """Return whether this process is our script in a clone, not a command or a user's Python."""
-    program = Path(sys.argv[0])
-    return program.suffix == ".py" and program.stem in COMMANDS
+    program = Path(sys.argv[0]).absolute()
+    is_in_scripts = program.parent.name == "scripts"  # elsewhere, train.py is a user's program
+    return is_in_scripts and program.suffix == ".py" and program.stem in COMMANDS
 
 
 def command_of(name: str) -> str:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Measure speed relative to named peers, on one core of an otherwise idle machine.
+"""Measure speed relative to named peers, on one core; other programs should be idle.
 
 Measurements alternate between both sides.
 

@@ -58,8 +58,11 @@ PACKAGES = (
     "torch",
     "python",
 )
-LINK = re.compile(r"\[[^\]]*\]\([^)]*\)")
-NO_BREAK = "\0"  # stands for a space in a link while lines are wrapped
+# What stays on one line: links, code, intervals, and numbers with a unit.
+UNBROKEN = re.compile(
+    r"\[[^\]]*\]\([^)]*\)|`[^`]*`|\[[^\]]*\]|[\N{MINUS SIGN}+]?[\d.]+ (?:%|points)"
+)
+NO_BREAK = "\0"  # stands for a space where lines may not end, while they are wrapped
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 COLUMNS = {
     "seeds": ("seeds", lambda cell: str(len(cell.seeds))),
@@ -138,7 +141,7 @@ class Experiment:
 
     def ranks(self, first: str, second: str) -> str:
         """Return p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
-        return formats.p_in_words(self._pair(first, second).rank_p_corrected)
+        return formats.p_in_words(self._pair(first, second).rank_p)
 
     def cpu_time_ratio(self, first: str, second: str) -> str:
         """Return the second cell's CPU time until success stays at 95 %, divided by the first's.
@@ -374,7 +377,7 @@ def _wrapped_paragraph(paragraph: str) -> str:
 
 
 def _filled(item: str) -> str:
-    words = LINK.sub(lambda link: link[0].replace(" ", NO_BREAK), " ".join(item.split()))
+    words = UNBROKEN.sub(lambda link: link[0].replace(" ", NO_BREAK), " ".join(item.split()))
     indent = "  " if words.startswith("- ") else ""
     lines = textwrap.fill(
         words, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False

@@ -5,15 +5,15 @@ import io
 import pytest
 from rich.table import Table
 
-from parking_exp.terminal import Screen, command_of, printable, say
+from parking_exp.terminal import Screen, command_of, escape_unprintable, say
 
 HOSTILE = "a\x1b]0;t\x07\x1b[2J\x9b31m\r\b\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
 SHOWN = r"a\x1b]0;t\x07\x1b[2J\x9b31m\r\x08\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
 
 
 def test_characters_that_are_not_printable_are_shown_as_escapes():
-    assert printable(HOSTILE) == SHOWN
-    assert printable("größe 学習 λ − “a, b” é") == "größe 学習 λ − “a, b” é"  # noqa: RUF001
+    assert escape_unprintable(HOSTILE) == SHOWN
+    assert escape_unprintable("größe 学習 λ − “a, b” é") == "größe 学習 λ − “a, b” é"  # noqa: RUF001
 
 
 def test_characters_that_the_output_can_not_encode_are_shown_as_escapes(monkeypatch):
@@ -45,6 +45,7 @@ def test_a_console_shows_lines_cells_and_headings():
         ("/somewhere/scripts/report.py", "python scripts/status.py"),
         ("/somewhere/bin/parking-train", "parking-status"),
         ("my_study.py", "parking-status"),
+        ("/somewhere/my_programs/train.py", "parking-status"),
         ("/somewhere/ipykernel_launcher.py", "parking-status"),
         ("", "parking-status"),
     ],

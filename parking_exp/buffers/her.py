@@ -33,9 +33,10 @@ class HerBuffer(DictReplayBuffer):
     are as `HerReplayBuffer` of Stable-Baselines3 makes them. The buffer has its own generator. It
     is seeded once, from NumPy's global generator.
 
-    `Storage` says how much memory a transition takes.
+    `Storage` says how much memory a transition takes. Arguments that are not listed are those of
+    `DictReplayBuffer`.
 
-    Args (others: see `DictReplayBuffer`):
+    Args:
         n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every
             batch. If the options below forbid relabelling, a transition keeps its goal and counts
             as real.
@@ -111,7 +112,10 @@ class HerBuffer(DictReplayBuffer):
 
     @property
     def real_share(self) -> float | None:
-        """Fraction of real transitions among all sampled so far; None before the first."""
+        """Fraction of real transitions among the agent's own that were sampled so far.
+
+        Demonstrations are left out. It is None before the first sample.
+        """
         n_sampled = self.n_real + self.n_virtual
         return self.n_real / n_sampled if n_sampled else None
 

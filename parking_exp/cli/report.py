@@ -40,7 +40,8 @@ def read_overrides(words: list[str]) -> list[str]:
     for word in words:
         key, equals, value = word.partition("=")
         if key == "experiment" and equals and value != "null":
-            names = value.removeprefix("[").removesuffix("]").split(",")
+            listed = value.removeprefix("[").removesuffix("]").split(",")
+            names = [name.strip() for name in listed]
             overrides.append(f"{key}={_quote_list(names)}")
         elif key in {"baseline", "contrast", "from", "export"} and value not in {"", "null"}:
             overrides.append(f"{key}={in_quotes(without_quotes(value))}")

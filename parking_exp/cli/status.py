@@ -18,8 +18,8 @@ from parking_exp.config_model import Name
 from parking_exp.errors import ParkingError, RunNotFoundError, StoreError
 from parking_exp.phrases import plural, suggestion
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.run_plans import delete_planned_run, never_began
+from parking_exp.runs.lookup import experiment_of, find_runs
+from parking_exp.runs.run_plans import delete_planned_run
 from parking_exp.runs.run_state import RunState, as_plain, in_plan_order, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import check_output, make_console, say
@@ -91,7 +91,7 @@ def _read_states(request: StatusRequest) -> list[RunState]:
         return states
     if experiment is None:
         raise RunNotFoundError(f"there are no runs in {folder}; train one first, or set output_dir")
-    hint = suggestion(experiment, {path.parents[1].name for path in find_runs(folder)})
+    hint = suggestion(experiment, {experiment_of(path) for path in find_runs(folder)})
     raise RunNotFoundError(f"experiment={experiment}: it has no runs in {folder}{hint}")
 
 
@@ -100,8 +100,6 @@ def _prune(request: StatusRequest) -> None:
     stores = _stores(request)
     for path in find_runs(request.output_path, request.experiment_name):
         directory = RunDirectory(path)
-        if directory.is_locked or not never_began(directory):
-            continue
         if delete_planned_run(directory, before=partial(_delete_stored, directory, stores)):
             say(f"dropped  {path}", stderr=True)
 

@@ -75,12 +75,12 @@ LIMITS: dict[str, Any] = {
     "betas": Annotated[list[Decay], Field(min_length=2, max_length=2)],
     **dict.fromkeys(("policy_kwargs", "optimizer_kwargs", "features_extractor_kwargs"), dict),
 }
-# By class, arguments whose names mean something else elsewhere.
 NOISE = {
     "mean": float | list[float],
     "sigma": NonNegativeFloat | list[NonNegativeFloat],
     "dtype": Literal["float32", "float64"],
 }
+# Limits in classes where names mean something else than above.
 CLASS_LIMITS: dict[str, dict[str, Any]] = {
     "LinearSchedule": {"start": PositiveFloat, "end": NonNegativeFloat, "end_fraction": Share},
     "ConstantSchedule": {"val": PositiveFloat},

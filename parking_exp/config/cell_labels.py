@@ -84,7 +84,8 @@ def _add_key_columns(
         if any(_is_determined_by(values, column) for column in options):
             continue
         # In a search all keys change together, since the values of each are drawn from a range.
-        is_drawn = len(set(map(hashable, values))) == n_distinct >= MIN_DRAWN_CELLS
+        n_values = len(set(map(hashable, values)))
+        is_drawn = n_values == n_distinct and n_distinct >= MIN_DRAWN_CELLS
         if is_drawn or not any(_change_together(values, column) for column in columns.values()):
             columns[key] = _with_null(key, values, configs)
 
@@ -196,9 +197,10 @@ def _change_together(values: Sequence[Setting], column: Sequence[Setting]) -> bo
 
 
 def _with_null(key: str, values: Sequence[Setting], configs: Sequence[FlatConfig]) -> list[Setting]:
-    """Return the values of a key, with "null" where it is missing but its group's option has it.
+    """Return the values of a key, with "null" for the cells that set it to null.
 
-    An option has the key if it has a value in any cell with this option.
+    Stored configs leave null out, so that it looks like a missing key. A cell has the key if any
+    cell with the same option of the key's group has a value.
     """
     options = [config.get(f"{key.partition('.')[0]}.name") for config in configs]
     pairs = list(zip(options, values, strict=True))

@@ -15,18 +15,16 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
-from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
+from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig, ThirdParty
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, reason_of_invalid_value
 from parking_exp.phrases import did_you_mean, suggestion
 
 SIMILAR = 0.8  # similarity from which on a name counts as misspelt
-# Base classes of the sections' classes.
-BASES = {
-    "algorithm": "stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm",
-    # observations of goal tasks are dictionaries
-    "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",
-}
+# Base classes of the classes in a config.
+ALGORITHM = "stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm"
+# Observations of goal tasks are dictionaries.
+REPLAY_BUFFER = "stable_baselines3.common.buffers.DictReplayBuffer"
 HER_BUFFER = "parking_exp.buffers.HerBuffer"
 SCRIPTED_POLICY = "parking_exp.tasks.scripted_policy.ScriptedPolicy"
 CALLBACK = "stable_baselines3.common.callbacks.BaseCallback"
@@ -103,28 +101,42 @@ def class_path(value: Any) -> Any:
 
 
 def argument_problems(run: RunConfig) -> Iterator[str]:
-    """Yield what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
-    bases = BASES if run.is_trained else {"algorithm": SCRIPTED_POLICY}
-    for key, base in bases.items():
-        section = getattr(run, key)
-        problems = list(
-            _target_problems(key, {"_target_": section.target, **section.arguments}, base)
-        )
-        yield from problems
-        if problems or not isinstance(section, AlgorithmConfig):
-            continue
-        if not run.is_trained:
-            yield from import_object(section.target).problems(run.env)
-            continue
-        # All features suit the policies of the known algorithms.
-        if section.target not in KNOWN_ARGUMENTS or section.arguments.get("policy_kwargs"):
-            yield from _policy_problems(section, import_object(section.target))
-    if run.is_trained and run.buffer.demonstrations:
-        yield from _demonstration_problems(run.buffer, run.env)
+    """Yield what is wrong with the classes that a config names, and with their arguments."""
+    if run.is_trained:
+        yield from _algorithm_problems(run.algorithm)
+        yield from _section_problems("buffer", run.buffer, REPLAY_BUFFER)
+        if run.buffer.demonstrations:
+            yield from _demonstration_problems(run.buffer, run.env)
+    else:
+        yield from _scripted_problems(run.algorithm, run.env)
     for number, callback in enumerate(run.callbacks or ()):
         yield from _target_problems(f"callbacks.{number}", callback, CALLBACK)
     for number, tracker in enumerate(run.tracking.trackers or ()):
         yield from _target_problems(f"tracking.trackers.{number}", tracker, TRACKER)
+
+
+def _section_problems(key: str, section: ThirdParty, base: str) -> list[str]:
+    """Return what is wrong with the class and the arguments of a section."""
+    node = {"_target_": section.target, **section.arguments}
+    return list(_target_problems(key, node, base))
+
+
+def _algorithm_problems(algorithm: AlgorithmConfig) -> Iterator[str]:
+    """Yield what is wrong with an algorithm that is trained, and with its policy."""
+    problems = _section_problems("algorithm", algorithm, ALGORITHM)
+    yield from problems
+    # All features suit the policies of the known algorithms.
+    is_known = algorithm.target in KNOWN_ARGUMENTS
+    if not problems and (not is_known or algorithm.arguments.get("policy_kwargs")):
+        yield from _policy_problems(algorithm, import_object(algorithm.target))
+
+
+def _scripted_problems(algorithm: AlgorithmConfig, env: Any) -> Iterator[str]:
+    """Yield what is wrong with a policy that is not trained."""
+    problems = _section_problems("algorithm", algorithm, SCRIPTED_POLICY)
+    yield from problems
+    if not problems:
+        yield from import_object(algorithm.target).problems(env)
 
 
 def _demonstration_problems(buffer: BufferConfig, env: Any) -> Iterator[str]:

@@ -52,9 +52,10 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
         known = OmegaConf.to_container(known)
     if not isinstance(known, dict):
         return f"{key}: {section} has no keys"
-    path = next((path for path in flatten_config(known) if f".{name}." in f"{path}."), None)
-    if path is not None:  # a section was left out
-        hint = f"; did you mean {f'{section}.{path.partition(name)[0]}{name}'.lstrip('.')!r}?"
+    inner = _section_with(name, known)
+    if inner is not None:  # a section was left out
+        meant = ".".join(part for part in (section, inner, name) if part)
+        hint = f"; did you mean {meant!r}?"
     elif "_target_" in known:
         hint = argument_hint(key, known, _hint_at_options(section, name))
     elif not known:  # takes other keys, too
@@ -63,6 +64,15 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
         hint = _hint_at_options(section, name) or suggestion(name, known)
     option = f" in {section}={known['name']}" if section and "name" in known else ""
     return f"{key}: there is no such key{option}{hint}"
+
+
+def _section_with(name: str, known: dict[str, Any]) -> str | None:
+    """Return the inner section that has a key; None if there is none."""
+    for path in flatten_config(known):
+        parts = path.split(".")
+        if name in parts[1:]:
+            return ".".join(parts[: parts.index(name, 1)])
+    return None
 
 
 def _hint_at_options(group: str, name: str) -> str:

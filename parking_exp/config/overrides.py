@@ -12,6 +12,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, RangeSweep
 from hydra.errors import HydraException
 
+from parking_exp.config.paths import absolute_path
 from parking_exp.errors import ConfigError, first_line
 
 MAX_VALUES = 100_000  # most values of a range
@@ -41,7 +42,7 @@ def to_hydra_syntax(argument: str) -> str:
     """Return an override in Hydra's grammar: quoted paths, experiment files relative to `conf/`."""
     key, equals, value = argument.partition("=")
     if key == "experiment" and value.endswith(".yaml"):
-        path = Path(value).expanduser()
+        path = absolute_path(value)
         if not path.is_file():
             raise ConfigError(f"{argument}: there is no such file")
         value = os.path.relpath(path.resolve().with_suffix(""), conf_dir() / "experiment")

@@ -42,8 +42,8 @@ def refuse_password(uri: str) -> str:
     return uri
 
 
-def directory_path(text: str | Path) -> Path:
-    """Return the absolute path of a directory, `~` and `..` resolved, but not symbolic links."""
+def absolute_path(text: str | Path) -> Path:
+    """Return an absolute path, `~` and `..` resolved, but not symbolic links."""
     # `Path.expanduser` raises for an unknown user.
     return Path(os.path.normpath(Path(os.path.expanduser(text)).absolute()))  # noqa: PTH111
 
@@ -72,7 +72,7 @@ def absolute_uri(uri: str, base: Path | None = None) -> str:
     A relative path starts at the base directory, or at the working directory.
     """
     path = database_file(uri)
-    return uri if path is None else f"{SQLITE}{directory_path((base or Path()) / path)}"
+    return uri if path is None else f"{SQLITE}{absolute_path((base or Path()) / path)}"
 
 
 def relative_uri(uri: str, base: Path) -> str:
@@ -83,8 +83,8 @@ def relative_uri(uri: str, base: Path) -> str:
 
 def relative_path(path: Path, base: Path) -> str:
     """Return a path relative to a base directory if it is below it, else the absolute path."""
-    path = directory_path(path)
-    base = directory_path(base)
+    path = absolute_path(path)
+    base = absolute_path(base)
     if path.is_relative_to(base):
         path = path.relative_to(base)
     return str(path)

@@ -45,7 +45,7 @@ def _buffer_problems(run: RunConfig) -> Iterator[str]:
                     f"buffer.{name} has no effect without demonstrations; leave it out, or set "
                     "buffer.demonstrations=N"
                 )
-    longest = run.env.for_training().episode_steps()
+    longest = run.env.for_training().episode_steps
     if longest is not None and run.is_trained:
         yield from _length_problems(run, longest)
     yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
@@ -97,7 +97,7 @@ def task_problems(runs: Iterable[RunConfig]) -> Iterator[str]:
             if problems:
                 return
             for run in runs_of_env:
-                if run.is_trained and env.for_training().episode_steps() is None:
+                if run.is_trained and env.for_training().episode_steps is None:
                     yield from _length_problems(run, task.episode_steps)
                 yield from _noise_problems(run, task)
 

@@ -25,9 +25,9 @@ from pydantic import (
 from parking_exp.config.argument_limits import OFF_POLICY_ARGUMENTS, SAC_ARGUMENTS, TD3_ARGUMENTS
 from parking_exp.config.paths import (
     SQLITE,
+    absolute_path,
     absolute_uri,
     default_uri,
-    directory_path,
     refuse_password,
     refuse_question_mark,
 )
@@ -60,7 +60,7 @@ def _check_store(uri: str) -> str:
 
 
 def _check_output_dir(text: str) -> str:
-    refuse_question_mark(directory_path(text))
+    refuse_question_mark(absolute_path(text))
     return text
 
 
@@ -205,7 +205,7 @@ class OutputConfig(ConfigModel):
     @property
     def output_path(self) -> Path:
         """Absolute output directory."""
-        return directory_path(self.output_dir)
+        return absolute_path(self.output_dir)
 
 
 class RunConfig(OutputConfig):
@@ -304,14 +304,14 @@ class RunConfig(OutputConfig):
     def n_cross_checked(self) -> int:
         """Number of final episodes that are cross-checked on the task's reference simulator.
 
-        All if the run trains on the reference, and none if the task has one simulator only. 0 in
-        the config: there is no cross-check.
+        None of them if the task has one simulator only. All if the run trains on the reference,
+        whatever the config says, since nothing is simulated twice. Otherwise as many as the config
+        says.
         """
-        simulators = self.env.simulators
-        if len(simulators) == 1:
+        if len(self.env.simulators) == 1:
             return 0
         n_final = self.evaluation.final_n_scenes
-        if self.env.simulator == simulators[-1]:
+        if self.env.simulator == self.env.reference_simulator:
             return n_final
         return min(self.evaluation.n_certified_scenes, n_final)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field
 
 from parking_exp.config.allowlist import check_trust
-from parking_exp.config.paths import directory_path, refuse_links
+from parking_exp.config.paths import absolute_path, refuse_links
 from parking_exp.config.schema import OutputConfig, RunConfig
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.phrases import plural
@@ -146,13 +146,12 @@ def find_agent(
         raise RunNotFoundError(
             f"{key}={run}: {weights} does not exist; the run is {directory.status}"
         )
-    config = directory.read_config()
     directory.check_links()
+    config = directory.read_config()
     if run == LATEST:
-        say(
-            f"{f'{key}=latest':<15}{run_name(read_state(directory.path))} of "
-            f"experiment={config.experiment_name}"
-        )
+        setting = f"{key}={LATEST}"
+        name = run_name(read_state(directory.path))
+        say(f"{setting:<15}{name} of experiment={config.experiment_name}")
     if not trust and not was_trained_here(directory.path):
         check_trust(config, directory.path / CONFIG_FILE)
     return Agent(f"{model} model", config, weights, directory.path, directory)
@@ -162,7 +161,7 @@ def find_agents(
     run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False
 ) -> list[Agent]:
     """Find the agent of a run, or the agents of all finished runs in a folder."""
-    paths = [] if is_pretrained(run) else find_runs_below(directory_path(run))
+    paths = [] if is_pretrained(run) else find_runs_below(absolute_path(run))
     if not paths:
         return [find_agent(run, output_dir, model, trust=trust)]
     finished = [path for path in paths if RunDirectory(path).status == "done"]
@@ -199,7 +198,7 @@ def load_model(
     """
     from parking_exp.tasks.registry import make_task
 
-    folder = directory_path(output_dir)
+    folder = absolute_path(output_dir)
     agent = find_agent(run, folder, model, trust=trust)
     return agent.load(make_task(agent.config.env))
 

@@ -55,7 +55,7 @@ class Evaluation:
         env = self.env
         seeds = self.request.seeds
         name = f"{env.name}-{self.request.model}-seeds-{seeds[0]}-{seeds[-1]}"
-        if env.simulator != env.simulators[-1]:
+        if env.simulator != env.reference_simulator:
             name += f"-{env.simulator}"
         if self.changes:
             # the same option with other values is another evaluation

@@ -102,7 +102,7 @@ def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
         )
     agent_part = trained_on.model_dump(include={*trained_on.agent_keys})
     env = parse_plain(EvaluatedEnv, {"env": requested | agent_part}).env
-    simulator = request.simulator or env.simulators[-1]  # by default the task's reference
+    simulator = request.simulator or env.reference_simulator
     if simulator not in env.simulators:
         raise ConfigError(
             f"simulator={simulator}: env={env.name} has {' and '.join(env.simulators)}"

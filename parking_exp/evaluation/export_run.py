@@ -9,7 +9,7 @@ from typing import Literal
 
 from omegaconf import DictConfig
 
-from parking_exp.config.paths import directory_path, resolved
+from parking_exp.config.paths import absolute_path, resolved
 from parking_exp.config.schema import LocalPath
 from parking_exp.config.validate import parse_config
 from parking_exp.errors import ConfigError, OutputDirectoryError
@@ -79,7 +79,7 @@ def _find_export(request: ExportRequest) -> Export:
     config = agent.config.model_copy(update={"device": "cpu"})  # files are for any machine
     path = agent.folder / "exports" / f"policy.{request.format}"
     if request.path is not None:
-        path = directory_path(request.path)
+        path = absolute_path(request.path)
     return Export(request, replace(agent, config=config), path)
 
 

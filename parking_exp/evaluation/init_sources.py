@@ -3,7 +3,7 @@
 from contextlib import suppress
 from pathlib import Path
 
-from parking_exp.config.paths import directory_path, relative_path
+from parking_exp.config.paths import absolute_path, relative_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.evaluation.agents import Agent, find_agent, is_pretrained
@@ -46,7 +46,7 @@ def _source_path(init: str, output_path: Path) -> str:
     """Return the path of a run or a cell, relative to the output directory if it lies there."""
     folder = output_path / init
     if not folder.is_dir():
-        folder = directory_path(init)
+        folder = absolute_path(init)
     if not folder.is_dir():
         try:
             folder = find_agent(init, output_path, trust=True, key="init").folder

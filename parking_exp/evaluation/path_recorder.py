@@ -27,8 +27,11 @@ class PathRecorder:
     def record(self, observation: Observation, seeds: np.ndarray, step: int) -> None:
         """Record where n episodes are after a step, 0 at the start; seeds have the shape (n,)."""
         is_recorded = np.isin(seeds, self._seeds)
-        if is_recorded.any():
-            columns = {EPISODE_SEED: seeds, "step": step, **self._task.positions(observation)}
+        if not is_recorded.any():
+            return
+        positions = self._task.positions(observation)
+        if positions:
+            columns = {EPISODE_SEED: seeds, "step": step, **positions}
             self._parts.append(pd.DataFrame(columns)[is_recorded])
 
     def table(self) -> pd.DataFrame:
@@ -38,6 +41,5 @@ class PathRecorder:
 
     def write(self, path: Path) -> None:
         """Write the paths as gzipped CSV, rounded to 0.001, if the task has positions."""
-        paths = self.table()
-        if len(paths.columns) > 2:
-            write_gzip(path, paths.to_csv(index=False, float_format="%.3f"))
+        if self._parts:
+            write_gzip(path, self.table().to_csv(index=False, float_format="%.3f"))

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from parking_exp.config.allowlist import ALLOWED
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.constructor_arguments import argument_problems
-from parking_exp.config.paths import directory_path, refuse_links
+from parking_exp.config.paths import absolute_path, refuse_links
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import SWEEP_KEYS, parse_plain, raise_problems
@@ -26,7 +26,7 @@ from parking_exp.runs.foreign_files import MAX_JSON, open_file, sha256
 
 SB3_EVALUATIONS = "models"
 """Folder of an output directory with the evaluations of model files."""
-SAFE_ARGUMENTS = {
+OPTIONAL_ARGUMENTS = {
     "net_arch",  # as the weights have it
     "activation_fn",
     "use_sde",
@@ -37,13 +37,16 @@ SAFE_ARGUMENTS = {
     "log_std_init",
     "use_expln",
 }
-"""Arguments of policies that are known otherwise, or without effect on deterministic actions."""
+"""Arguments of policies that need not be passed.
+
+The file has them, or they do not change deterministic actions.
+"""
 ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
 
 
 def is_model_file(run: str) -> bool:
     """Return whether a name means a model file."""
-    return run.endswith(".zip") and not directory_path(run).is_dir()
+    return run.endswith(".zip") and not absolute_path(run).is_dir()
 
 
 def find_agent_in_file(
@@ -65,7 +68,7 @@ def find_agent_in_file(
     """
     from parking_exp.algorithms.model_files import read_actor
 
-    path = directory_path(run)
+    path = absolute_path(run)
     if not path.is_file():
         raise RunNotFoundError(f"run={run}: there is no such file")
     is_gaussian, net_arch = _architecture(path, read_actor(path, "cpu"))
@@ -137,7 +140,7 @@ def _policy_kwargs(
     if not isinstance(made_with, dict):
         made_with = {}
     arguments = dict(chosen)
-    unknown = made_with.keys() - SAFE_ARGUMENTS - arguments.keys()
+    unknown = made_with.keys() - OPTIONAL_ARGUMENTS - arguments.keys()
 
     activation = made_with.get("activation_fn")
     if activation is not None and "activation_fn" not in arguments:

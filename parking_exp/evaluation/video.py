@@ -47,10 +47,11 @@ def _write_files(policy: Policy, task: Task, seeds: Sequence[int], path: Path, g
                     gif_frames.append(Image.fromarray(frame).quantize(64))
     if gif:
         first, *rest = gif_frames
-        first.save(
-            path.with_suffix(".gif"),
-            save_all=True,
-            append_images=rest,
-            duration=1000 * stride / task.frame_rate,
-            loop=0,
-        )
+        with replacing(path.with_suffix(".gif")) as temporary:
+            first.save(
+                temporary,
+                save_all=True,
+                append_images=rest,
+                duration=1000 * stride / task.frame_rate,
+                loop=0,
+            )

@@ -100,10 +100,10 @@ def compare_pairs(cell_pairs: Sequence[tuple[CellSummary, CellSummary]]) -> list
 
     pairs = []
     for (a, b), (a_rates, b_rates), difference in zip(cell_pairs, rates, differences, strict=True):
-        rank_p_corrected = None
+        rank_p = None
         if difference.p is not None:
-            rank_p_corrected = min(1.0, n_pairs * mannwhitneyu(a_rates.rates, b_rates.rates).pvalue)
-        pairs.append(Pair(a.id, b.id, difference, rank_p_corrected, judge(difference)))
+            rank_p = min(1.0, n_pairs * mannwhitneyu(a_rates.rates, b_rates.rates).pvalue)
+        pairs.append(Pair(a.id, b.id, difference, rank_p, judge(difference)))
     return pairs
 
 

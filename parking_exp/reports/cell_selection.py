@@ -123,8 +123,10 @@ def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
     factors, settings = find_factors(configs, [cell.experiment for cell in cells])
     if len(cells) > 1:
         labels = labels_from_factors(factors, settings, names)
+    elif cells[0].label:  # a selected cell is called as among all cells
+        labels = [cells[0].label]
     else:
-        labels = [cell.label for cell in cells if cell.label] or label_cells(configs, names)
+        labels = label_cells(configs, names)
     relabelled = []
     for number, cell in enumerate(cells):
         copy = replace(cell, id=f"c{number}", label=labels[number], settings=settings[number])

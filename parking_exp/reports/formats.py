@@ -70,7 +70,7 @@ def p_value(p: float | None) -> str:
         return f"≤ {SMALLEST_P}"
     digits = 3 if p >= 0.001 else 4
     # More digits tell on which side of 0.05 it lies.
-    while round(p, digits) == 0.05 != p and digits < 6:
+    while round(p, digits) == 0.05 and p != 0.05 and digits < 6:
         digits += 1
     return f"{p:.{digits}f}"
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from filelock import FileLock
 from pydantic import TypeAdapter, ValidationError
 
-from parking_exp.config.paths import default_uri, directory_path, refuse_links
+from parking_exp.config.paths import absolute_path, default_uri, refuse_links
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.phrases import plural
 from parking_exp.report_section import Section
@@ -31,7 +31,7 @@ from parking_exp.results.frame_export import (
 )
 from parking_exp.results.frames import Results, load, read_store
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.lookup import find_runs
+from parking_exp.runs.lookup import experiment_of, find_runs
 from parking_exp.terminal import command_of, make_console, say
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import complete_store
@@ -47,7 +47,7 @@ class ReportSource(NamedTuple):
 
 def make_report(request: ReportRequest) -> None:
     """Complete the store, write the report, export it if asked to, and print the findings."""
-    export_folder = directory_path(request.export) if request.export else None
+    export_folder = absolute_path(request.export) if request.export else None
     if export_folder:
         refuse_foreign(export_folder)
     user_sections = load_sections(request.report.sections)
@@ -91,9 +91,7 @@ def _read_own_store(request: ReportRequest, show: Callable[[str], None]) -> Resu
     show("sending to the store what it lacks")
     names = request.experiments
     paths = [
-        path
-        for path in find_runs(request.output_path)
-        if not names or path.parents[1].name in names
+        path for path in find_runs(request.output_path) if not names or experiment_of(path) in names
     ]
     store = Store(default_uri(request.output_path), request.output_path)
     problem = complete_store(map(RunDirectory, paths), store)

@@ -100,7 +100,8 @@ class Pair:
     a: str  # ids of the cells
     b: str
     difference: Difference  # mean of a minus mean of b, corrected for the pairs of the report
-    rank_p_corrected: float | None  # p of Mann and Whitney's test of the ranks of seeds
+    # p of Mann and Whitney's test of the ranks of seeds, with the same correction.
+    rank_p: float | None
     # `a` or `b`: this cell is better. `same`: neither test nor interval finds a difference.
     # `unclear`: only one of them does. `unknown`: too few seeds.
     verdict: Verdict

@@ -28,16 +28,17 @@ from parking_exp.tuning.trials import OBJECTIVE, RetestedTrial, describe_states,
 
 
 def with_stored_search(report: ReportData, output_dir: Path) -> ReportData:
-    """Return a report with the first search of its experiments, or with a warning about it."""
+    """Return a report with the first search of its experiments; damaged ones are warnings."""
     names = [name for name in report.experiments if re.fullmatch(NAME, name)]
     for folder in [output_dir / name for name in names]:
         try:
             search = read_search(folder)
-            if search is not None:
-                return with_search(report, search)
         except ParkingError as error:
             warning = f"The search of {folder.name} is left out: {first_line(error).rstrip('.')}."
-            return replace(report, warnings=[*report.warnings, warning])
+            report = replace(report, warnings=[*report.warnings, warning])
+            continue
+        if search is not None:
+            return with_search(report, search)
     return report
 
 
@@ -78,7 +79,9 @@ def describe_search(report: ReportData) -> Iterator[str]:
         f"{settings.pruner or 'none'}): {describe_states(search.trials, search.n_trials)}. "
         f"Objective: {OBJECTIVE}, mean over {plural(len(settings.tuning_seeds), 'tuning seed')}."
     )
-    for best in rank_trials(search.trials)[:1]:
+    ranked = rank_trials(search.trials)
+    if ranked:
+        best = ranked[0]
         text += f" The best is “{best.label}” with {formats.percent_in_words(best.value)}."
     yield text
 

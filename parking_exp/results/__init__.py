@@ -42,9 +42,11 @@
     success_rate            float64   over the evaluation's episodes; so are the next four
     timeout_rate, failure_rate (parking: crash_rate, parked_rate), steps_mean, return_mean
     cpu_s                   float64   CPU time until then
-    real_share              float64   share of sampled transitions not relabelled; 1 with replay
+    real_share              float64   share of the agent's sampled transitions not relabelled;
+                                      1 with replay
 
-`episodes` has one row per evaluation episode of the runs that are over, in the order of `runs`:
+`episodes` has one row per evaluation episode of all runs but running ones, in the order of
+`runs`:
 
     run_id                  category
     phase                   category  eval: during training; final: after it; certified: some of

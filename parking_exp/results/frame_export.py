@@ -14,7 +14,7 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.config.paths import directory_path
+from parking_exp.config.paths import absolute_path
 from parking_exp.config.settings import decode_setting, encode_setting
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.artifact_parsers import (
@@ -72,7 +72,7 @@ def write_export(
     Raises:
         ConfigError: the folder holds other files.
     """
-    folder = directory_path(folder)
+    folder = absolute_path(folder)
     refuse_foreign(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for outdated in (folder / REPORT, *folder.glob(".tmp-*")):
@@ -99,7 +99,7 @@ def read_export(folder: str | Path) -> Results:
     Raises:
         ResultsError: it is not there, not whole, or damaged.
     """
-    path = directory_path(folder)
+    path = absolute_path(folder)
     for name in FILES:
         if not (path / name).is_file():
             raise ResultsError(f"{path} is not a whole export: it has no {name}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.paths import database_file, default_uri, directory_path, refuse_password
+from parking_exp.config.paths import absolute_path, database_file, default_uri, refuse_password
 from parking_exp.config.settings import FlatConfig, Setting
 from parking_exp.errors import ParkingError, ResultsError, reason_of_store_failure
 from parking_exp.phrases import suggestion
@@ -99,7 +99,7 @@ def load(
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it
             has no runs.
     """
-    folder = directory_path(output_dir)
+    folder = absolute_path(output_dir)
     store = Store(default_uri(folder), folder)
     if uri:
         store = Store(refuse_password(uri), None)
@@ -125,8 +125,8 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     problems = list(_duplicates(runs))
     configs = _read_files(store, runs, CONFIG_FILE, config_reader(), problems)
     logs = _read_files(store, runs, METRICS_FILE, read_points, problems)
-    finished = runs[runs["status"] != "running"]
-    episodes = _read_files(store, finished, EPISODES_FILE, read_episodes, problems)
+    not_running = runs[runs["status"] != "running"]
+    episodes = _read_files(store, not_running, EPISODES_FILE, read_episodes, problems)
     # Figures show one run of a cell. Runs of most tasks have no paths.
     lowest_seeds = runs[runs["status"] == "done"].drop_duplicates(["experiment", "cell"])
     paths = _read_files(store, lowest_seeds, PATHS_FILE, read_paths, problems, optional=True)

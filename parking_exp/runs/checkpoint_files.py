@@ -12,19 +12,28 @@ MANIFEST = "manifest.json"
 
 
 def checkpoint_name(step: int) -> str:
-    """Return the name of a checkpoint's folder; names sort by step."""
+    """Return the name of a checkpoint's folder."""
     return f"{STEP_PREFIX}{step:010d}"
 
 
 def find_checkpoints(folder: Path) -> list[Path]:
     """Return the checkpoints of a run's folder `checkpoints`, the newest last."""
-    return sorted(folder.glob(f"{STEP_PREFIX}*"))
+    paths = [path for path in folder.glob(f"{STEP_PREFIX}*") if _digits(path).isdecimal()]
+    return sorted(paths, key=_step)
 
 
 def saved_step(folder: Path) -> int:
     """Return the env step of the newest checkpoint of a run's folder `checkpoints`; 0 if empty."""
-    steps = [path.name.removeprefix(STEP_PREFIX) for path in find_checkpoints(folder)]
-    return max((int(step) for step in steps if step.isdecimal()), default=0)
+    checkpoints = find_checkpoints(folder)
+    return _step(checkpoints[-1]) if checkpoints else 0
+
+
+def _digits(path: Path) -> str:
+    return path.name.removeprefix(STEP_PREFIX)
+
+
+def _step(path: Path) -> int:
+    return int(_digits(path))
 
 
 def checkpoint_problem(folder: Path) -> str | None:

@@ -22,7 +22,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 from pydantic import TypeAdapter, ValidationError
 
-from parking_exp.config.paths import absolute_uri, directory_path, refuse_links, relative_uri
+from parking_exp.config.paths import absolute_path, absolute_uri, refuse_links, relative_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
 from parking_exp.runs.atomic_files import write_json
@@ -80,7 +80,7 @@ class RunDirectory:
     @property
     def output_dir(self) -> Path:
         """The output directory that the run is in now."""
-        return directory_path(self.path / OUTPUT_DIR_FROM_RUN)
+        return absolute_path(self.path / OUTPUT_DIR_FROM_RUN)
 
     @property
     def status(self) -> Status:

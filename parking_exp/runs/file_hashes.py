@@ -14,12 +14,13 @@ from parking_exp.runs.foreign_files import read_object, sha256
 from parking_exp.runs.metric_logs import METRICS_FILE
 from parking_exp.runs.run_files import (
     CONFIG_FILE,
-    EVALUATIONS,
     RESULT_FILE,
     STATUS_FILE,
     SUMMARY_FILE,
-    WRITTEN_AT_THE_END,
+    WHOLE_AT_THE_END,
     StatusEntries,
+    evaluation_files,
+    find_evaluations,
     read_entries,
 )
 
@@ -36,12 +37,6 @@ def write_summary(folder: Path, entries: Mapping[str, Any]) -> None:
     others = [file for file in evaluation_files(folder) if file.name != SUMMARY_FILE]
     hashes = {file.name: sha256(file) for file in others}
     write_json(folder / SUMMARY_FILE, {**entries, HASHES: hashes})
-
-
-def find_evaluations(run_dir: Path) -> list[Path]:
-    """Return the folders of the evaluations that are complete."""
-    summaries = run_dir.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}")
-    return sorted(summary.parent for summary in summaries)
 
 
 def has_hashes(run_dir: Path) -> bool:
@@ -67,14 +62,9 @@ def changed_files(run_dir: Path) -> list[str]:
     return [str(file.relative_to(run_dir)) for file in changed]
 
 
-def evaluation_files(folder: Path) -> list[Path]:
-    """Return the files of an evaluation."""
-    return [file for file in sorted(folder.glob("[!.]*")) if file.is_file()]
-
-
 def _finished_files(run_dir: Path) -> list[Path]:
     """Return the files of a finished run that no longer change."""
-    files = [run_dir / name for name in (CONFIG_FILE, METRICS_FILE, *WRITTEN_AT_THE_END)]
+    files = [run_dir / name for name in (CONFIG_FILE, METRICS_FILE, *WHOLE_AT_THE_END)]
     files += [folder / MODEL for folder in find_checkpoints(run_dir / CHECKPOINTS)]
     return [file for file in files if file.is_file()]
 

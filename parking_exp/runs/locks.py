@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def is_held(path: Path) -> bool:
-    """Return whether a process holds a lock file; the system releases it when that ends."""
+    """Return whether a process holds a lock file. The system releases it when the process ends."""
     try:
         # A pipe in its place would wait for a writer.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)

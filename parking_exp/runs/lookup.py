@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from parking_exp.config.paths import directory_path, resolved
+from parking_exp.config.paths import absolute_path, resolved
 from parking_exp.errors import OutputDirectoryError, RunNotFoundError
 from parking_exp.phrases import did_you_mean, plural
 from parking_exp.runs.directory import RunDirectory
@@ -12,10 +12,15 @@ from parking_exp.runs.run_files import STATUS_FILE
 LATEST = "latest"
 
 
+def experiment_of(run_dir: Path) -> str:
+    """Return the name of the experiment that a run directory belongs to."""
+    return run_dir.parents[1].name
+
+
 def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
     """Return the run directories under an output directory, of one experiment or of all, sorted."""
     directories = _distinct(output_dir, "*/*/seed=*")
-    return [path for path in directories if experiment in (None, path.parents[1].name)]
+    return [path for path in directories if experiment in (None, experiment_of(path))]
 
 
 def find_runs_below(folder: Path) -> list[Path]:
@@ -59,7 +64,7 @@ def find_run(
     Raises:
         RunNotFoundError: no run matches; the message suggests the closest valid name.
     """
-    folder = directory_path(name)
+    folder = absolute_path(name)
     if (folder / STATUS_FILE).exists():
         return RunDirectory(folder)
     runs = find_runs(output_dir)

@@ -30,7 +30,7 @@ PROGRESS_FILE = "progress.csv"
 MODELS = "models"
 BEST_MODEL = "best.zip"
 FINAL_MODEL = "final.zip"
-WRITTEN_AT_THE_END = (
+WHOLE_AT_THE_END = (
     EPISODES_FILE,
     PATHS_FILE,
     CURVES_FILE,
@@ -110,6 +110,17 @@ def write_config(directory: Path, config: RunConfig) -> None:
     text = yaml.safe_dump(relocatable.plain(), sort_keys=False)
     directory.mkdir(parents=True, exist_ok=True)
     write_atomically(directory / CONFIG_FILE, text, durable=False)
+
+
+def find_evaluations(run_dir: Path) -> list[Path]:
+    """Return the folders of the evaluations that are complete."""
+    summaries = run_dir.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}")
+    return sorted(summary.parent for summary in summaries)
+
+
+def evaluation_files(folder: Path) -> list[Path]:
+    """Return the files of an evaluation."""
+    return [file for file in sorted(folder.glob("[!.]*")) if file.is_file()]
 
 
 def read_config(directory: Path, output_dir: Path) -> RunConfig:

@@ -76,10 +76,10 @@ def make_pending(directory: RunDirectory, config: RunConfig, label: str, **entri
     )
 
 
-def never_began(directory: RunDirectory) -> bool:
+def _never_began(directory: RunDirectory) -> bool:
     """Return whether a run was planned, and no process has begun it."""
-    status = directory.read_status()
-    is_planned = status.status == "pending" and status.started is None
+    stored = directory.read_status()
+    is_planned = stored.status == "pending" and stored.started is None
     return is_planned and {file.name for file in directory.path.iterdir()} <= PLAN_FILES
 
 
@@ -91,11 +91,14 @@ def delete_planned_run(directory: RunDirectory, before: Callable[[], None]) -> b
         before: called first, with the run locked.
 
     Returns:
-        Whether it was deleted; another process may have begun it.
+        Whether it was deleted. A run that has begun, or begins at this moment, is kept.
     """
+    # Not by locking: that would leave a lock file in the directory of every other run.
+    if directory.is_locked or not _never_began(directory):
+        return False
     try:
         with directory.supervisor_lock():
-            if not never_began(directory):
+            if not _never_began(directory):
                 return False
             before()
             for file in directory.path.iterdir():

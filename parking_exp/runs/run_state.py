@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 from parking_exp.runs.checkpoint_files import CHECKPOINTS, saved_step
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import experiment_of
 from parking_exp.runs.run_files import (
     HEARTBEAT_FILE,
     STATUS_FILE,
@@ -75,7 +76,7 @@ def read_state(path: Path) -> RunState:
         "label": path.parent.name,
         **entries.model_dump(exclude_none=True),
         "run_dir": str(path),
-        "experiment": path.parent.parent.name,
+        "experiment": experiment_of(path),
         "cell": path.parent.name,
         "seed": int(seed) if seed.isdecimal() else -1,
         "stage": "pending",

@@ -129,9 +129,7 @@ def _supervise_task(config: DictConfig) -> None:
 
 
 def _unusable(name: str, error: Exception) -> ConfigError:
-    extra = (
-        f"; pip install 'parking-exp[{name}]'"
-        if name in EXTRAS and not isinstance(error, TypeError)
-        else ""
-    )
+    extra = ""
+    if name in EXTRAS and not isinstance(error, TypeError):
+        extra = f"; pip install 'parking-exp[{name}]'"
     return ConfigError(f"hydra/launcher={name}: {first_line(error)}{extra}")

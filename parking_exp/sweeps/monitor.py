@@ -2,12 +2,14 @@
 
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 
+from parking_exp.errors import ParkingError
 from parking_exp.runs.run_state import NO_REASON, RunState, read_state
 from parking_exp.runs.state_tables import format_duration, run_name, state_lines
 from parking_exp.terminal import make_console
@@ -62,6 +64,10 @@ class Monitor:
 
     def _look(self) -> None:
         """Read the states that may have changed, and print a line for each change of stage."""
+        with suppress(OSError, ParkingError):  # a folder is being deleted, for example
+            self._print_changes()
+
+    def _print_changes(self) -> None:
         for path in self._find_run_dirs():
             before = self._states.get(path)
             if before and before.stage == "done":

@@ -44,9 +44,10 @@ def _train_or_keep(config: RunConfig) -> RunResult:
     """Train a checked run, or keep its result; return the result."""
     directory = RunDirectory(config.run_dir)
     writer = StoreWriter([config], partial(say, stderr=True))
-    if directory.read_result() is None or directory.needs_evaluation(config):
+    has_result = directory.read_result() is not None
+    if not has_result or directory.needs_evaluation(config):
         check_device(config.device)
-    if directory.read_result() is None:
+    if not has_result:
         check_sources([config])
     try:
         with directory.supervisor_lock(), directory.training_lock():

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from parking_exp.config.paths import directory_path
+from parking_exp.config.paths import absolute_path
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import CONFIG_FILE
@@ -64,7 +64,7 @@ def _run(directory: RunDirectory, process: WorkerProcess, stop: StopRequest) -> 
     """Start a run's process, and return how the run ended."""
     try:
         config = directory.read_config()
-        if config.run_dir != directory_path(directory.path):
+        if config.run_dir != absolute_path(directory.path):
             raise ConfigError(
                 f"{directory.path / CONFIG_FILE} is the config of another run; rerun the sweep"
             )

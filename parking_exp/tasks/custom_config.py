@@ -23,8 +23,9 @@ class CustomConfig(TaskConfig):
     task: Annotated[str, Field(pattern=CLASS_PATH)]
     kwargs: Annotated[dict[str, Any], Field(default_factory=dict)]
 
+    @property
     def episode_steps(self) -> int | None:
-        """Return None: only the class knows its longest episode."""
+        """None: only the class knows its longest episode."""
 
     @property
     def imports(self) -> dict[str, str]:

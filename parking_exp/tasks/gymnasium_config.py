@@ -30,8 +30,9 @@ class GymnasiumConfig(TaskConfig):
     success_key: str | None
     failure_key: str | None
 
+    @property
     def episode_steps(self) -> int | None:
-        """Return the longest episode in steps; None where only the registered environment knows."""
+        """The longest episode in steps; None where only the registered environment knows."""
         return self.max_episode_steps
 
     def problems(self) -> Iterator[str]:

@@ -170,10 +170,10 @@ class GymnasiumReward(GoalReward):
 
 
 def random_steps(env: gym.Env) -> RandomSteps:
-    """Take the same random steps in every call.
+    """Take the same random steps in every call: RANDOM_STEPS, or more until an episode has ended.
 
-    At least one episode ends, since some entries of `info` appear only at the end. An episode of
-    more than MAX_RANDOM_STEPS may not end.
+    Some entries of `info` appear only at the end of an episode. After MAX_RANDOM_STEPS, it stops
+    even if none has ended.
     """
     env.action_space.seed(0)
     env.reset(seed=0)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from parking_exp.tasks.task import Task, TaskReport
 
 CUSTOM = "a class"
+"""Tag of configs whose `task` is the dotted path of a class."""
 ENV_CONFIGS: dict[Any, type[TaskConfig]] = {"parking": ParkingConfig, "gymnasium": GymnasiumConfig}
 """The `env` groups of our own tasks, by their key `task`."""
 

@@ -12,7 +12,8 @@ class ScriptedPolicy(Policy):
 
     `algorithm._target_` names a subclass, and `algorithm.trained` is false. Other keys of
     `algorithm` are arguments of its constructor, which are checked by their annotations, such as
-    pydantic's `PositiveFloat`.
+    pydantic's `PositiveFloat`. Do not name an argument as Stable-Baselines3's algorithms do, such
+    as `gamma` or `batch_size`: these keys are left out where nothing is trained.
 
     Args:
         task: the task of its episodes.

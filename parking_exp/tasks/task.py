@@ -63,7 +63,7 @@ class GoalReward(ABC):
 
 
 class Policy(ABC):
-    """What chooses the actions of episodes that are stepped together.
+    """A policy, which chooses the actions of episodes that are stepped together.
 
     Attributes:
         max_batch_size: the largest number of episodes that it is given at once.

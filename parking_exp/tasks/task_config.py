@@ -39,13 +39,19 @@ class TaskConfig(ConfigModel, ABC):
         def simulator(self) -> str:
             """The simulator that trains."""
 
+    @property
+    def reference_simulator(self) -> str:
+        """The simulator that results are cross-checked on."""
+        return self.simulators[-1]
+
     def for_training(self) -> Self:
         """Return the config of training envs."""
         return self
 
+    @property
     @abstractmethod
     def episode_steps(self) -> int | None:
-        """Return the longest episode in steps; None where only the environment knows."""
+        """The longest episode in steps; None where only the environment knows."""
 
     def overlap_problem(self, setting: str, first_seed: int, n_episodes: int) -> str | None:
         """Return why an evaluation would share episodes with training, or None.

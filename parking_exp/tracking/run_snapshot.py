@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from parking_exp.config.paths import database_file, relative_path
 from parking_exp.config.run_key import short_hash
@@ -11,11 +11,17 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import one_line
 from parking_exp.runs.checkpoint_files import MODEL, find_checkpoints
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.file_hashes import evaluation_files, find_evaluations
 from parking_exp.runs.foreign_files import read_object
 from parking_exp.runs.metric_logs import METRICS_FILE
 from parking_exp.runs.output_identity import output_id
-from parking_exp.runs.run_files import CONFIG_FILE, EVALUATIONS, WRITTEN_AT_THE_END, Status
+from parking_exp.runs.run_files import (
+    CONFIG_FILE,
+    EVALUATIONS,
+    WHOLE_AT_THE_END,
+    Status,
+    evaluation_files,
+    find_evaluations,
+)
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, STARTED
 from parking_exp.tracking.store import Store
 
@@ -33,8 +39,8 @@ class RunSnapshot:
     """What a store should have of a run directory, as it is now.
 
     Attributes:
-        status: see `status_for_store`.
-        files: see `files_for_store`.
+        status: see `StateForStore`.
+        files: see `StateForStore`.
         tags: see `tags_for_store`.
         last_tags: those that are written once the store has everything else.
         first_name: the run's name in MLflow's UI, until it is done.
@@ -53,8 +59,7 @@ class RunSnapshot:
 def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
     """Return what a store should have of a run directory."""
     config = directory.read_config()
-    status = status_for_store(directory)
-    files = files_for_store(directory, status)
+    status, files, digest = state_for_store(directory)
     first_name = f"{config.cell_name}-seed={config.seed}"
     last_name = first_name
     rate = directory.read_status().success_rate
@@ -65,17 +70,37 @@ def take_snapshot(directory: RunDirectory, store: Store) -> RunSnapshot:
         status=status,
         files=files,
         tags=tags_for_store(directory, config, store),
-        last_tags={DIGEST: digest_for_store(directory, status, files), STATUS: status},
+        last_tags={DIGEST: digest, STATUS: status},
         first_name=first_name,
         last_name=last_name,
     )
 
 
-def status_for_store(directory: RunDirectory) -> Status:
-    """Return a run's status for the store.
+class StateForStore(NamedTuple):
+    """The state of a run directory that a store should have.
 
-    A run that was killed or is pending is `interrupted` there.
+    Of its files, only `status.json` is read.
+
+    Attributes:
+        status: the run's status there.
+        files: files by their names there.
+        digest: a hash of the rest, and of names, sizes and times of change of the files.
     """
+
+    status: Status
+    files: Mapping[str, Path]
+    digest: str
+
+
+def state_for_store(directory: RunDirectory) -> StateForStore:
+    """Return the state of a run directory that a store should have."""
+    status = _status_for_store(directory)
+    files = _files_for_store(directory, status)
+    return StateForStore(status, files, _digest_for_store(directory, status, files))
+
+
+def _status_for_store(directory: RunDirectory) -> Status:
+    """Return a run's status; `interrupted` if it was killed or is pending."""
     status = directory.status
     was_killed = status == "running" and not directory.is_locked
     if status == "pending" or was_killed:
@@ -83,11 +108,8 @@ def status_for_store(directory: RunDirectory) -> Status:
     return status
 
 
-def digest_for_store(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
-    """Return a hash of what the store should have of a run, without parsing any file.
-
-    `files` come from `files_for_store`; their names, sizes and times of change are hashed.
-    """
+def _digest_for_store(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
+    """Return a hash of status, error and tags, and of names, sizes and times of change of files."""
     entries = directory.read_status()
     state: list[Any] = [status]
     for name in ("error", *FROM_STATUS):
@@ -142,7 +164,7 @@ def tags_for_store(directory: RunDirectory, config: RunConfig, store: Store) -> 
     return tags
 
 
-def files_for_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
+def _files_for_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
     """Return the files for the store, by their names there.
 
     Files that grow while the run trains are sent once it has ended.
@@ -157,7 +179,7 @@ def files_for_store(directory: RunDirectory, status: Status) -> dict[str, Path]:
     if status == "done":
         files[METRICS_FILE] = path / METRICS_FILE
     if status != "running":
-        for name in WRITTEN_AT_THE_END:
+        for name in WHOLE_AT_THE_END:
             files[name] = path / name
     for folder in find_evaluations(path):
         for file in evaluation_files(folder):

@@ -202,7 +202,10 @@ class Store:
                 client.log_batch(run.info.run_id, *batch)
 
     def has_artifacts(self, run: "Run", files: Mapping[str, Path]) -> bool:
-        """Return whether a run has artifacts of these names and sizes, if they are local files."""
+        """Return whether the artifacts of a run have these names and sizes, as far as can be seen.
+
+        Artifacts on a server, and those of a deleted run, count as present.
+        """
         folder = local_folder(run.info.artifact_uri)
         if folder is None or run.info.lifecycle_stage == "deleted":
             return True

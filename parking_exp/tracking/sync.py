@@ -13,6 +13,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError, reason_of_store_failure
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import SYNC_LOCK, RunDirectory
+from parking_exp.runs.lookup import experiment_of
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import STATUS_FILE
 from parking_exp.terminal import command_of
@@ -20,9 +21,7 @@ from parking_exp.tracking.embedded_store import rebuild_if_unusable
 from parking_exp.tracking.run_snapshot import (
     DIGEST,
     OUTPUT_ID,
-    digest_for_store,
-    files_for_store,
-    status_for_store,
+    state_for_store,
 )
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.write_run import write_run
@@ -53,7 +52,7 @@ def try_sync(directory: RunDirectory, store: Store) -> str | None:
 
 
 def adopt_store(directory: RunDirectory, config: RunConfig) -> None:
-    """Record the store that a command's config names as a finished run's, for the next sync.
+    """Make the store of a command's config the store of a finished run; the next sync sends it.
 
     A run that is tracked elsewhere keeps its store, unless `tracking.uri` is given.
     """
@@ -104,10 +103,9 @@ def _is_stored(
     `synced` has the store's runs by directory and digest.
     """
     with suppress(OSError):
-        status = status_for_store(directory)
-        files = files_for_store(directory, status)
-        run = synced.get((resolved(directory.path), digest_for_store(directory, status, files)))
-        return run is not None and store.has_artifacts(run, files)
+        state = state_for_store(directory)
+        run = synced.get((resolved(directory.path), state.digest))
+        return run is not None and store.has_artifacts(run, state.files)
     return False
 
 
@@ -136,7 +134,7 @@ def sync_hint(output_dir: Path, uri: str) -> str:
 
 
 def delete_stored(directory: RunDirectory, store: Store) -> None:
-    """Mark what a store has of a directory as deleted.
+    """Mark the stored runs of a run directory as deleted in MLflow.
 
     Raises:
         StoreError: the store fails.
@@ -176,5 +174,5 @@ def _runs_of_experiments(directories: Iterable[RunDirectory], store: Store) -> "
     """Return all runs that a store has of the experiments of some directories."""
     rebuild_if_unusable(store)
     ids = store.experiment_ids()
-    names = {directory.path.parents[1].name for directory in directories}
+    names = {experiment_of(directory.path) for directory in directories}
     return store.runs(ids[name] for name in names if name in ids)

@@ -43,8 +43,10 @@ def write_run(directory: RunDirectory, store: Store) -> None:
     tags = snapshot.tags
     experiment_id = store.find_or_make_experiment(snapshot.config)
     run, earlier = _find_stored_run(directory, store, experiment_id, tags)
-    if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
-        return  # the store keeps the results until the new evaluation is done
+    # A run that is evaluated again has no start time yet, or another one than its stored results.
+    has_old_results = bool(earlier) or (run is not None and STARTED not in tags)
+    if directory.is_evaluated_again and has_old_results:
+        return  # the store keeps them until the new evaluation is done
     for replaced in earlier:
         with store.writing() as client:
             client.delete_run(replaced.info.run_id)  # it can be restored in MLflow's UI
@@ -112,7 +114,8 @@ def _is_up_to_date(store: Store, run: "Run", snapshot: RunSnapshot) -> bool:
 
 def _rename(store: Store, run: "Run", snapshot: RunSnapshot) -> None:
     """Show a success rate first in MLflow's UI: in a run's name, unless a user has given it one."""
-    if run.info.run_name == snapshot.first_name != snapshot.last_name:
+    has_first_name = run.info.run_name == snapshot.first_name  # else a user has renamed it
+    if has_first_name and snapshot.last_name != snapshot.first_name:
         with store.writing() as client:
             client.update_run(run.info.run_id, name=snapshot.last_name)
 

@@ -48,26 +48,33 @@ def evaluate_final(session: RunSession) -> pd.DataFrame:
     problem = _cross_check(session, cross_checked, parts[0]) if cross_checked else None
     session.dump_metrics()
 
-    directory = session.directory
-    session.save_final(directory.models / FINAL_MODEL)
-    path_recorder.write(directory.path / PATHS_FILE)
-    title = f"{config.experiment_name}: {directory.path.parent.name}"
-    plot_learning_curves(session.metrics_log.frame(), metrics, title, directory.path / CURVES_FILE)
-    if settings.video_episodes:
-        session.display.show_activity("video")
-        filmed = settings.seeds(settings.video_episodes)
-        reason = record_video(session.policy, session.task, filmed, directory.path / VIDEO_FILE)
-        if reason is not None:
-            session.display.say(reason)
+    _write_files(session, path_recorder)
     if problem is not None:
         raise CrossCheckError(problem)
     return episodes
 
 
+def _write_files(session: RunSession, path_recorder: PathRecorder) -> None:
+    """Write the last files of a run: final model, paths, learning curves and video."""
+    config = session.config
+    folder = session.directory.path
+    session.save_final(session.directory.models / FINAL_MODEL)
+    path_recorder.write(folder / PATHS_FILE)
+    title = f"{config.experiment_name}: {folder.parent.name}"
+    log = session.metrics_log.frame()
+    plot_learning_curves(log, session.task.metrics, title, folder / CURVES_FILE)
+    if config.evaluation.video_episodes:
+        session.display.show_activity("video")
+        filmed = config.evaluation.seeds(config.evaluation.video_episodes)
+        reason = record_video(session.policy, session.task, filmed, folder / VIDEO_FILE)
+        if reason is not None:
+            session.display.say(reason)
+
+
 def _cross_check(session: RunSession, seeds: Sequence[int], episodes: pd.DataFrame) -> str | None:
     """Repeat episodes on the reference simulator; return what differs, if anything."""
     simulator = session.config.env.simulator
-    reference = session.config.env.simulators[-1]
+    reference = session.config.env.reference_simulator
     repeated = episodes
     if simulator != reference:
         session.display.show_activity(f"cross-check on {reference}")

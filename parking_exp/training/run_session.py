@@ -30,7 +30,7 @@ OnSaved = Callable[[RunDirectory], None]
 
 @dataclass(frozen=True)
 class RunContext:
-    """What the session of a run works with.
+    """The config, the directory and the services of a run, from which its session is made.
 
     Attributes:
         config: the run's config.

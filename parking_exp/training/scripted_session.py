@@ -30,5 +30,7 @@ class ScriptedSession(RunSession):
 
     def save_final(self, path: Path) -> None:
         """Write a file with the run's config, which is all that there is of the policy."""
+        config = (self.directory.path / CONFIG_FILE).read_bytes()
         with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-            archive.write(self.directory.path / CONFIG_FILE, CONFIG_FILE)
+            # Without a time, since a clock may be before 1980, of which zip files have none.
+            archive.writestr(zipfile.ZipInfo(CONFIG_FILE), config)

@@ -195,7 +195,7 @@ class RolloutCallback(BaseCallback):
         now = time.monotonic()
         if now >= self._next_update:
             self._next_update = now + 1 / BAR_UPDATES_PER_S
-            self._update_bar()
+            self._update_display()
 
     def _on_step(self) -> bool:
         where = f"at step {self.num_timesteps}"
@@ -206,7 +206,7 @@ class RolloutCallback(BaseCallback):
 
     def _on_training_end(self) -> None:
         self._check_losses()
-        self._update_bar()
+        self._update_display()
 
     def _check_losses(self) -> None:
         """Check what the last updates have logged."""
@@ -216,7 +216,7 @@ class RolloutCallback(BaseCallback):
                 losses[name] = value
         check_finite(losses, f"at step {self.num_timesteps}")
 
-    def _update_bar(self) -> None:
+    def _update_display(self) -> None:
         returns = [episode["r"] for episode in self.model.ep_info_buffer or ()]
         success_rate = safe_mean(self.model.ep_success_buffer or [])
         self.session.display.update(self.num_timesteps, success_rate, safe_mean(returns))

@@ -101,7 +101,7 @@ def _print_request(
     out.print(
         f"{plural(request.n_trials, 'trial')} x {plural(len(settings.tuning_seeds), 'seed')} x "
         f"{search.base.total_timesteps:,} env steps at most, {plural(n_workers, 'trial')} at a "
-        f"time: {request.n_trials - n_left} trials over, {n_left} to do"
+        f"time: {plural(request.n_trials - n_left, 'trial')} over, {n_left} to do"
     )
 
 

@@ -20,7 +20,7 @@ from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.foreign_files import read_object
 from parking_exp.runs.lookup import LATEST
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
-from parking_exp.tuning.study import OpenStudy, open_storage, open_study, study_errors
+from parking_exp.tuning.study import OpenStudy, as_store_error, open_storage, open_study
 from parking_exp.tuning.trials import RetestedTrial, TrialRow, read_retest, read_trials
 
 SEARCH_FILE = "search.json"
@@ -136,7 +136,9 @@ class Search:
         """
         keys = {}
         for group, dimension in self.request.search.space.items():
-            for option in dimension.values_to_check if group in GROUPS else []:
+            if group not in GROUPS:
+                continue
+            for option in dimension.values_to_check:
                 config = self.config({group: option}).model_copy(update={"seed": 0})
                 keys[f"{group}={option}"] = config.run_key
         return keys
@@ -179,7 +181,7 @@ def read_search(folder: Path) -> StoredSearch | None:
     import optuna
 
     stored = parse_plain(SearchFile, content)
-    with study_errors(folder.name):
+    with as_store_error(folder.name):
         study = optuna.load_study(study_name=folder.name, storage=open_storage(folder))
         retested = read_retest(folder)
     return StoredSearch(

@@ -63,7 +63,7 @@ class _JournalLock:
 
 
 @contextmanager
-def study_errors(name: str) -> Iterator[None]:
+def as_store_error(name: str) -> Iterator[None]:
     """Turn all errors of reading a journal, which may be damaged in any way, into a StoreError."""
     try:
         yield
@@ -114,7 +114,7 @@ def open_study(
     import optuna
 
     name = folder.name
-    with study_errors(name):
+    with as_store_error(name):
         storage = open_storage(folder)
         with FileLock(folder / CLAIM_LOCK):
             study = optuna.create_study(

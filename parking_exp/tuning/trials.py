@@ -13,7 +13,7 @@ from parking_exp.phrases import plural
 from parking_exp.runs.foreign_files import read_object
 from parking_exp.runs.locks import is_held
 from parking_exp.tuning.search_config import Dimension
-from parking_exp.tuning.study import changes_of, study_errors, trial_lock_path
+from parking_exp.tuning.study import as_store_error, changes_of, trial_lock_path
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -82,7 +82,7 @@ def read_trials(
     Raises:
         StoreError: a trial is damaged, or has choices that its search lacks.
     """
-    with study_errors(study.study_name):
+    with as_store_error(study.study_name):
         return [_read_trial(trial, folder, space) for trial in study.trials[:n_trials]]
 
 
@@ -146,6 +146,8 @@ def progress_table(trials: Sequence[TrialRow]) -> Table:
 def progress_lines(trials: Sequence[TrialRow], n_trials: int) -> list[str]:
     """Return how many trials are in each state, and the best so far."""
     lines = [f"{plural(n_trials, 'trial')}: {describe_states(trials, n_trials)}"]
-    for best in rank_trials(trials)[:1]:
+    ranked = rank_trials(trials)
+    if ranked:
+        best = ranked[0]
         lines.append(f"best so far: {best.label} ({OBJECTIVE} {best.value:.1%})")
     return lines

@@ -90,6 +90,7 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("hydra.job.env_set={X: 1}", "env_set.X has no effect; set environment variables"),
         ("hydra.verbose=true", "only hydra/launcher"),
         ("experiment=nowhere.yaml", "nowhere.yaml"),
+        ("experiment=~nobody_here/x.yaml", "there is no such file"),
     ],
 )
 def test_an_invalid_override_is_refused_in_one_sentence(override, named):

@@ -51,7 +51,7 @@ def test_training_keys_change_training_envs_only():
     ],
 )
 def test_longest_episode_counts_time_as_highway_env_does(option, steps):
-    assert compose(f"env={option}").env.episode_steps() == steps
+    assert compose(f"env={option}").env.episode_steps == steps
 
 
 @pytest.mark.parametrize(

@@ -131,9 +131,9 @@ def test_parked_is_inside_the_lines_straight_and_stationary(pose, parked):
 def test_the_pose_is_seen_from_the_slot():
     ahead, left, slot = np.array([0.6, 0.8]), np.array([-0.8, 0.6]), np.array([4.0, 14.0])
     heading = math.atan2(0.8, 0.6)
-    pose = pose_in_slot(
-        slot + ahead + 0.25 * left, heading + 0.1 - 2 * math.pi, -2.0, slot, heading
-    )
+    place = slot + ahead + 0.25 * left
+    turned = heading + 0.1 - 2 * math.pi
+    pose = pose_in_slot(place, turned, -2.0, slot, heading, (SLOT_LENGTH_M, SLOT_WIDTH_M))
     assert (pose.ahead_m, pose.side_m, pose.heading_error_rad, pose.speed_mps) == pytest.approx(
         (1.0, 0.25, 0.1, -2.0)
     )

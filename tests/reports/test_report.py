@@ -213,7 +213,7 @@ def test_keys_that_a_runs_own_class_may_have_are_looked_up_in_the_store(tmp_path
 
 def test_words_without_a_key_of_the_command_name_cells():
     words = [
-        "experiment=a,b",
+        "experiment=[a, b]",
         "her_*",
         "buffer.n_sampled_goal=1,4",
         "baseline=x, y=1",

@@ -205,6 +205,13 @@ def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     assert warning.endswith("; none was retrained on test seeds.")
 
 
+def test_a_damaged_search_does_not_hide_the_next_one(begun):
+    write_search(begun.parent / "earlier", search={"name": "x"})
+    whole = with_stored_search(report("earlier", "smoke"), begun.parent)
+    assert whole.tuning.experiment == "smoke"
+    assert whole.warnings[0].startswith("The search of earlier is left out: ")
+
+
 @pytest.mark.parametrize(
     ("damage", "words"),
     [

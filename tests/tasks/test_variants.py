@@ -9,6 +9,7 @@ from support.runs import parking_envs
 
 from parking_exp.config.compose import compose
 from parking_exp.config_model import TRAINING_SEEDS_START
+from parking_exp.tasks.parking.geometry import SLOT_LENGTH_M, SLOT_WIDTH_M
 from parking_exp.tasks.parking.highway import make_parking_env
 from parking_exp.tasks.parking.pose import pose_in_slot
 from parking_exp.tasks.parking.reward import ParkingReward
@@ -74,8 +75,13 @@ def test_success_of_parking_stop_means_parked():
     goal = np.array([4.0, 14.0, 0, 0, 0, 1])
     achieved[:, :2] += goal[:2]
     _, reached = reward(achieved / SCALES, goal / SCALES)
+    slot = {
+        "goal_position": goal[:2],
+        "goal_heading": np.pi / 2,
+        "slot_size": (SLOT_LENGTH_M, SLOT_WIDTH_M),
+    }
     poses = [
-        pose_in_slot(achieved[row, :2], heading[row], speed[row], goal[:2], np.pi / 2)
+        pose_in_slot(achieved[row, :2], heading[row], speed[row], **slot)
         for row in reached.nonzero()[0]
     ]
     assert len(poses) > 10_000

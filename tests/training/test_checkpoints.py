@@ -7,8 +7,16 @@ from support.models import make_model
 from support.runs import names_in
 
 from parking_exp.algorithms.policy_ema import PolicyEMA
+from parking_exp.runs.checkpoint_files import find_checkpoints
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import SavedProgress
+
+
+def test_checkpoints_are_in_the_order_of_their_steps_and_copies_are_none(tmp_path):
+    for name in ("step=10000000000", "step=9999999999", "step=9999999999.bak"):
+        (tmp_path / name).mkdir()
+    found = [path.name for path in find_checkpoints(tmp_path)]
+    assert found == ["step=9999999999", "step=10000000000"]
 
 
 def untrained(*overrides):

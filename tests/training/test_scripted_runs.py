@@ -1,6 +1,8 @@
 """Runs of a policy that is not trained: from the command to the result, killed, evaluated again."""
 
 import json
+import os
+import zipfile
 from importlib.metadata import version
 
 import pandas as pd
@@ -12,7 +14,10 @@ from parking_exp import load_model
 from parking_exp.config.compose import compose
 from parking_exp.config.rules import update_ratio_warning
 from parking_exp.errors import ConfigError, ModelError
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.statistics import wilson_interval
+from parking_exp.training.scripted_session import ScriptedSession
 
 PLANNER = (
     "env=parking_parallel",
@@ -53,6 +58,17 @@ def test_a_run_of_the_planner_has_its_episodes_its_metrics_and_no_env_steps(plan
     final = table[table["phase"] == "final"]
     assert stored.metrics["final/plan_s_mean"] == pytest.approx(final["plan_s"].mean())
     assert stored.tags["version.ompl"] == version("ompl")
+
+
+def test_a_clock_before_1980_keeps_no_policy_from_being_saved(tmp_path):
+    config_file = tmp_path / CONFIG_FILE
+    config_file.write_text("name: planner")
+    os.utime(config_file, (0, 0))
+    session = ScriptedSession.__new__(ScriptedSession)
+    session.directory = RunDirectory(tmp_path)
+    session.save_final(tmp_path / "final.zip")
+    with zipfile.ZipFile(tmp_path / "final.zip") as archive:
+        assert archive.read(CONFIG_FILE) == b"name: planner"
 
 
 def test_a_run_that_is_killed_while_it_plans_ends_as_if_it_had_not_been(planned, tmp_path):

@@ -50,7 +50,7 @@ def test_a_search_trains_its_trials_tags_their_runs_and_a_rerun_does_nothing(out
     tags = {"search": "smoke", "trial": "0", "seed": "1001"}
     assert {name: run.data.tags[name] for name in tags} == tags
     rerun = call_script("tune", *options, code=0)
-    assert "1 trials over, 0 to do" in rerun.stdout
+    assert "1 trial over, 0 to do" in rerun.stdout
     status = call_script("status", "experiment=smoke", f"output_dir={output_dir}")
     assert "best so far: trial 0: unchanged (success_auc 0.0%)" in status.stdout
 

@@ -171,7 +171,7 @@ def pairs_table(report: ReportData) -> Iterator[Table]:
             Column("p (Bonferroni)", "p_corrected", formats.p_value),
             Column(
                 "p, ranks (Bonferroni)",
-                "rank_p_corrected",
+                "rank_p",
                 formats.p_value,
                 note="Mann and Whitney's test of the ranks of seeds, a second opinion",
             ),

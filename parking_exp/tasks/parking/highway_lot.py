@@ -26,7 +26,8 @@ from parking_exp.tasks.parking.scenes import MOST_SCENES, NO_SLOT, Scenes, scene
 
 # Half the length and width of the area: within the walls, outside of the slots.
 AISLE_M = np.array([33.0, 8.5])
-START_M = 6.0  # distance from the middle of the lot, where the car starts
+# Distance of obstacles from the middle of the lot, where the car starts.
+CLEARANCE_M = 6.0
 
 # In each row, one slot is the first of those nearest to the origin. These are its number
 # and heading, and its distance from the origin as highway-env adds it up.
@@ -159,7 +160,7 @@ def sample_places(rng: np.random.Generator, n: int) -> np.ndarray:
     while len(places) < n:
         candidates = rng.uniform(-AISLE_M, AISLE_M, (n, 2))
         distance = np.sqrt((candidates**2).sum(axis=1))
-        places = np.concatenate([places, candidates[distance > START_M]])
+        places = np.concatenate([places, candidates[distance > CLEARANCE_M]])
     return places[:n]
 
 

@@ -12,7 +12,7 @@ from parking_exp.tasks.parking.highway_lot import HighwayLot
 from parking_exp.tasks.parking.lot_config import (
     DIMENSIONS,
     GAP_M,
-    ROUNDING,
+    SMALLEST,
     LotConfig,
     LotDimensions,
     bounds,
@@ -89,7 +89,7 @@ class ParametricLot(SampledLot):
         length, width = boxes.max(axis=0).tolist()
         self.size_m = (length, width)
         self.same_walls = bool((boxes == boxes[0]).all())
-        self.nearest_row_m = float(np.abs(slots[..., 1]).min()) - ROUNDING
+        self.nearest_row_m = float(np.abs(slots[..., 1]).min()) - SMALLEST
 
     def typical(self) -> Scenes:
         """Return one scene, with the middle of all ranges, for drawings of the lot."""

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field
 from parking_exp.config_model import Bounds, ConfigModel, equals
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, direction_of, extent
 
-ROUNDING = 1e-9
+SMALLEST = 1e-9  # lengths and differences below it count as 0
 MAX_M = 1000.0
 MAX_SHARE = float(np.nextafter(1.0, 0.0))  # the largest number that a generator returns
 GAP_M = 0.5  # from the slots to the wall behind them, and beside the last one of a dead end
@@ -46,7 +46,7 @@ def _check_order(value: list[float]) -> list[float]:
 def _check_vehicles_count(value: Any) -> Any:
     """Refuse what is neither a number of cars nor a range."""
     low, high = bounds(value)
-    if not (type(low) is type(high) is int and 0 <= low <= high):
+    if not (type(low) is int and type(high) is int and 0 <= low <= high):
         raise ValueError("give a number of cars, or the lowest and the highest: [0, 20]")
     return value
 
@@ -55,7 +55,7 @@ LENGTH = "give a length of at most 1000 m, or the lowest and the highest: [6, 7]
 END = "give a length from 0 to 1000 m, or the lowest and the highest: [6, 7]"
 ANGLE = "give an angle from 0 to 90 degrees, or the lowest and the highest: [45, 90]"
 
-Length = Annotated[Any, _sampled(ROUNDING, MAX_M, LENGTH)]
+Length = Annotated[Any, _sampled(SMALLEST, MAX_M, LENGTH)]
 End = Annotated[Any, _sampled(0.0, MAX_M, END)]
 Angle = Annotated[Any, _sampled(0.0, 90.0, ANGLE)]
 Ordered = Annotated[Bounds, AfterValidator(_check_order)]
@@ -96,7 +96,7 @@ class LotDimensions:
     @property
     def closest_pitch_m(self) -> np.ndarray:
         """The smallest distances along the aisle at which slots do not overlap, shape (n,)."""
-        cos, sin = np.maximum(self.direction, ROUNDING)
+        cos, sin = np.maximum(self.direction, SMALLEST)
         side_by_side = self.slot_width_m / sin
         one_behind_the_other = self.slot_length_m / cos
         return np.minimum(side_by_side, one_behind_the_other)
@@ -216,7 +216,7 @@ class LotConfig(ConfigModel):
                 yield f"{key}.{side}={lowest:g}: the car is {car_m:g} m {word}"
         pitch, _ = bounds(self.pitch_m)
         needed = self.extremes().closest_pitch_m.max()
-        if pitch is not None and pitch < needed - ROUNDING:
+        if pitch is not None and pitch < needed - SMALLEST:
             yield f"{key}.pitch_m={pitch:g}: slots overlap below {needed:.3g} m"
 
     def _start_problems(self, key: str, walls: bool) -> Iterator[str]:

@@ -131,7 +131,7 @@ class ParkingConfig(TaskConfig):
     standing_reward: Annotated[float, Field(le=0, exclude_if=equals(0.0))] = 0.0
     steering_range: PositiveFloat
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
-    # episode_steps() counts duration x policy_frequency steps.
+    # `episode_steps` counts duration x policy_frequency steps.
     policy_frequency: Annotated[int, Field(ge=1, le=100)]
     duration: Duration
     vehicles_count: VehiclesCount
@@ -200,8 +200,9 @@ class ParkingConfig(TaskConfig):
         ranges = [lot.vehicles_range(self.vehicles_count) for lot in lots]
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
+    @property
     def episode_steps(self) -> int:
-        """Return the most policy steps of an episode, counted by adding floats like highway-env."""
+        """The most policy steps of an episode, counted by adding floats like highway-env."""
         time = 0.0
         steps = 0
         while time < self.duration:

@@ -79,7 +79,7 @@ class ParkingTask(Task):
     @property
     def episode_steps(self) -> int:
         """The longest training episode, in steps."""
-        return self.config.for_training().episode_steps()
+        return self.config.for_training().episode_steps
 
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""

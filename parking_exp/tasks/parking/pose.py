@@ -9,8 +9,6 @@ import numpy as np
 from parking_exp.tasks.parking.geometry import (
     CAR_LENGTH_M,
     CAR_WIDTH_M,
-    SLOT_LENGTH_M,
-    SLOT_WIDTH_M,
     in_frame,
 )
 
@@ -68,12 +66,11 @@ def pose_in_slot(
     speed: float,
     goal_position: np.ndarray,
     goal_heading: float,
-    slot_size: Sequence[float] | np.ndarray = (SLOT_LENGTH_M, SLOT_WIDTH_M),
+    slot_size: Sequence[float] | np.ndarray,
 ) -> PoseInSlot:
     """Return the pose of a car relative to its goal slot.
 
-    Positions are (x, y), the slot's size is its length and width; each has the shape (2,). By
-    default the slot is as large as highway-env's.
+    Positions are (x, y), the slot's size is its length and width; each has the shape (2,).
     """
     direction = (math.cos(goal_heading), math.sin(goal_heading))
     ahead, side = in_frame(position - goal_position, direction)

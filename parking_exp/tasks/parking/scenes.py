@@ -8,7 +8,7 @@ from parking_exp.tasks.parking.geometry import WALL_THICKNESS_M
 
 NO_SLOT = -1  # the slot of an absent car, where a scene has fewer than others
 FAR_M = 1e6  # cars farther away than this count as absent
-MOST_SCENES = 10**7  # in a batch: what is equal in all scenes is a view of this length
+MOST_SCENES = 10**7  # of a batch; arrays that are equal in all scenes are views of this length
 
 
 def scene_rng(seed: int) -> np.random.Generator:

@@ -66,7 +66,7 @@ class Simulator(TrainingBatch):
         self.clip = action.clip
         self.frames = config.simulation_frequency // config.policy_frequency
         self.dt = 1 / config.simulation_frequency
-        self.episode_steps = config.episode_steps()
+        self.episode_steps = config.episode_steps
         self.walls = config.add_walls
         self.reward = reward_of(config)
         self.n_seen = config.observation.vehicles_count
