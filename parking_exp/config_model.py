@@ -1,7 +1,6 @@
 """The base of all config schemas, and the types of their keys."""
 
-from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -19,13 +18,18 @@ def _check_range(bounds: list[float]) -> list[float]:
     return bounds
 
 
+Item = TypeVar("Item")
+
+NonEmptyText = Annotated[str, Field(min_length=1)]
 Count = Annotated[int, Field(ge=1, le=10**12)]
 Name = Annotated[str, Field(pattern=NAME, max_length=80)]
 Duration = Annotated[float, Field(gt=0, le=100_000)]
 Pixels = Annotated[int, Field(ge=1, le=10_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
-Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
+Two = Annotated[list[Item], Field(min_length=2, max_length=2)]
+Bounds = Two[float]
 Range = Annotated[Bounds, AfterValidator(_check_range)]
+RunSeed = Annotated[int, Field(ge=0, lt=2**32)]
 EpisodeSeed = Annotated[int, Field(ge=0, lt=TRAINING_SEEDS_START)]
 NumberOfEpisodes = Annotated[int, Field(ge=1, le=10_000_000)]
 # Arguments of `HerBuffer`, which a config is checked against without importing torch.
@@ -35,9 +39,9 @@ RelabelTerminated = Literal["sb3", "goal", "goal_and_crash", "env"]
 GoalVelocity = Literal["achieved", "zero"]
 
 
-def equals(default: Any) -> Callable[[Any], bool]:
-    """Return a check for `exclude_if`, by which stored configs leave out a key with its default."""
-    return lambda value: bool(value == default)
+def left_out(default: Any, **limits: Any) -> Any:
+    """Return a field whose default is left out of stored configs and of names of evaluations."""
+    return Field(default=default, exclude_if=lambda value: bool(value == default), **limits)
 
 
 class ConfigModel(BaseModel):

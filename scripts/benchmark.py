@@ -51,9 +51,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from parking_exp.resources import available_cores
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.foreign_files import read_json
+from parking_exp.sweeps.resources import available_cores
 
 VERSIONS = ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy", "sbx-rl", "jax")
 PEERS = {

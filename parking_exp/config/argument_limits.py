@@ -19,6 +19,7 @@ from parking_exp.config_model import (
     RelabelCollision,
     RelabelTerminated,
     Share,
+    Two,
 )
 
 # How values are checked against a limit.
@@ -72,7 +73,7 @@ LIMITS: dict[str, Any] = {
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
     "weight_decay": NonNegativeFloat,
     "eps": NonNegativeFloat,
-    "betas": Annotated[list[Decay], Field(min_length=2, max_length=2)],
+    "betas": Two[Decay],
     **dict.fromkeys(("policy_kwargs", "optimizer_kwargs", "features_extractor_kwargs"), dict),
 }
 NOISE = {

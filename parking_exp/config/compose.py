@@ -177,7 +177,7 @@ class _Composer:
             config = hydra.compose(self._config_name, overrides, return_hydra_config=True)
         except ValueError as error:  # a group is set to a number or to null
             raise ConfigError(f"{' '.join(overrides)}: {error}") from error
-        # Only files of the user's own set keys of Hydra.
+        # Our own files set no key that is refused: only a user's file or override can.
         if self._hydra_overrides or any("/" in override for override in overrides):
             plain = hydra.compose(self._config_name, return_hydra_config=True)
             launches_runs = self._config_name in LAUNCHING

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from parking_exp.config.overrides import in_quotes
+from parking_exp.config.settings import yaml_text
 from parking_exp.errors import ConfigError
 from parking_exp.phrases import suggestion
 
@@ -143,14 +144,3 @@ def _values(value: object) -> list[str]:
     """Return the values that a block gives a key, in Hydra's syntax."""
     items = value if isinstance(value, list) else [value]
     return [yaml_text(item) for item in items]
-
-
-def yaml_text(value: object) -> str:
-    """Write a scalar or a list as YAML and Hydra's command line read it."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return f"[{','.join(map(yaml_text, value))}]"
-    return str(value)

@@ -17,6 +17,8 @@ PARAMETERS = (
     "unix_socket"
 )
 """Parameters of database drivers whose values are not secret."""
+# A sqlite file; a URI with neither user, query, fragment nor parameters; or one of a database,
+# whose user, if any, has no password, and whose parameters, if any, are not secret.
 WITHOUT_SECRET = re.compile(
     rf"""sqlite:///.*
     | [^@?#;]*

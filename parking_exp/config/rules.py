@@ -48,7 +48,13 @@ def _buffer_problems(run: RunConfig) -> Iterator[str]:
     longest = run.env.for_training().episode_steps
     if longest is not None and run.is_trained:
         yield from _length_problems(run, longest)
-    yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
+    if run.is_trained:
+        yield from run.env.model_problems(run.algorithm.features, run.buffer)
+    if run.buffer.arguments.get("copy_info_dict"):
+        yield (
+            "buffer.copy_info_dict=true: checkpoints do not have infos; use "
+            "buffer._target_=parking_exp.buffers.HerBuffer, which stores what the reward needs"
+        )
 
 
 def _length_problems(run: RunConfig, longest: int) -> Iterator[str]:

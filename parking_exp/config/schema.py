@@ -38,9 +38,12 @@ from parking_exp.config_model import (
     Count,
     EpisodeSeed,
     Name,
+    NonEmptyText,
     NumberOfEpisodes,
+    RunSeed,
     Share,
-    equals,
+    Two,
+    left_out,
 )
 from parking_exp.tasks.registry import EnvConfig
 
@@ -73,7 +76,7 @@ def _check_local(path: str) -> str:
     return path
 
 
-LocalPath = Annotated[str, Field(min_length=1), AfterValidator(_check_local)]
+LocalPath = Annotated[NonEmptyText, AfterValidator(_check_local)]
 """A path of this machine: `s3://bucket` would become a folder `s3:`."""
 
 
@@ -137,10 +140,9 @@ class BufferConfig(ThirdParty):
     """The `buffer` group."""
 
     buffer_size: Annotated[int, Field(ge=1, le=100_000_000)]  # 11 GB
-    # Left out of stored configs where they are the defaults.
-    demonstrations: Annotated[int, Field(ge=0, le=10_000, exclude_if=equals(0))] = 0
-    demonstration_share: Annotated[Share, Field(lt=1, exclude_if=equals(0.25))] = 0.25
-    demonstrator: Annotated[Node, Field(exclude_if=equals(PLANNER))] = PLANNER
+    demonstrations: int = left_out(0, ge=0, le=10_000)
+    demonstration_share: Share = left_out(0.25, lt=1)
+    demonstrator: Node = left_out(PLANNER)
 
 
 FINAL_EVALUATION = {"final_n_scenes", "n_certified_scenes", "video_episodes"}
@@ -212,19 +214,19 @@ class RunConfig(OutputConfig):
     """One run, seed included."""
 
     experiment_name: Name
-    seed: Annotated[int, Field(ge=0, lt=2**32)]
+    seed: RunSeed
     total_timesteps: Annotated[int, Field(ge=0, le=10**12)]  # 0: nothing is trained
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)]
-    # 0.001: one update in 1,000 steps of each env.
+    # 0.001: one update in 1,000 env steps, summed over all envs.
     updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]
     device: Annotated[str, AfterValidator(_check_device)]
     torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
     precision: Literal["highest", "medium"]
     timeout_s: PositiveFloat | None = None
-    contrasts: list[Annotated[list[str], Field(min_length=2, max_length=2)]] | None = None
+    contrasts: list[Two[str]] | None = None
     label: str | None = None
     callbacks: list[Node] | None = None
-    init: Annotated[str, Field(min_length=1)] | None = None
+    init: NonEmptyText | None = None
     init_latest: bool = False  # in a planned run: its `init` was `latest` when it was planned
     init_buffer: bool = False
     env: EnvConfig

@@ -7,7 +7,6 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from parking_exp.config.grid import yaml_text
 from parking_exp.config.run_key import changes_results
 from parking_exp.config.schema import BufferConfig
 from parking_exp.tasks.registry import ENV_CONFIGS
@@ -53,6 +52,17 @@ def decode_setting(text: str | None) -> Setting:
         except ValueError:
             continue
     return text
+
+
+def yaml_text(value: object) -> str:
+    """Write a scalar or a list as YAML and Hydra's command line read it."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return f"[{','.join(map(yaml_text, value))}]"
+    return str(value)
 
 
 def display_setting(value: Any) -> str:

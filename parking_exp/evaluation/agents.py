@@ -3,13 +3,12 @@
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from pydantic import Field
+from typing import TYPE_CHECKING, Literal
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import absolute_path, refuse_links
 from parking_exp.config.schema import OutputConfig, RunConfig
+from parking_exp.config_model import NonEmptyText
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.phrases import plural
 from parking_exp.runs.directory import RunDirectory
@@ -35,11 +34,13 @@ ModelName = Literal["final", "best"]
 
 @dataclass(frozen=True)
 class Agent:
-    """A trained agent on disk."""
+    """An agent on disk."""
 
     name: str  # as printed: `final model`, `pretrained agent default`
     config: RunConfig
-    weights: Path  # a model as Stable-Baselines3 saves it, or `POLICY_FILE`
+    # A model as Stable-Baselines3 saves it, or `POLICY_FILE`; of a scripted policy, a zip of its
+    # config.
+    weights: Path
     folder: Path  # where its evaluations and exports are written
     directory: RunDirectory | None = None  # its run directory; None if there is none
 
@@ -117,7 +118,7 @@ class Agent:
 class AgentRequest(OutputConfig):
     """The keys by which `evaluate` and `export` name an agent."""
 
-    run: Annotated[str, Field(min_length=1)]
+    run: NonEmptyText
     model: ModelName
     trust: bool
 

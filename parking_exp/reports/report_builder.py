@@ -70,8 +70,9 @@ def build_report(
     if not quick:
         hint = "; report=quick shows what there is so far"
         _refuse_unfinished(summaries, f"experiment={','.join(experiments)}", hint)
-        reference = [cell for cell in summaries if cell.id == selection.baseline]
-        _refuse_unfinished(reference or summaries, f"baseline={baseline}")
+        if selection.baseline is not None:
+            reference = [cell for cell in summaries if cell.id == selection.baseline]
+            _refuse_unfinished(reference, f"baseline={baseline}")
 
     family = choose_family(summaries, selection.baseline, selection.contrasts)
     selected = {cell.identity for cell in selection.cells}

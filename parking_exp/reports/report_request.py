@@ -8,7 +8,7 @@ from pydantic import Field
 
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse_config
-from parking_exp.config_model import ConfigModel
+from parking_exp.config_model import ConfigModel, NonEmptyText
 from parking_exp.errors import ConfigError
 from parking_exp.phrases import did_you_mean
 
@@ -25,8 +25,8 @@ class ReportRequest(OutputConfig):
     """The config of scripts/report.py."""
 
     experiment_name: str | list[str] | None
-    source: Annotated[str, Field(min_length=1)] | None = Field(alias="from")
-    export: Annotated[str, Field(min_length=1)] | None
+    source: NonEmptyText | None = Field(alias="from")
+    export: NonEmptyText | None
     cells: str | list[str] | None
     baseline: str | None
     contrast: str | None

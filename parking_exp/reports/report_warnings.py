@@ -51,7 +51,7 @@ def _find_mixed(report: ReportData) -> Iterator[str]:
     n_episodes = []
     seeds = set()
     for cell in report.cells:
-        n_episodes += [seed.n_episodes for seed in cell.seeds]
+        n_episodes += [seed.n_episodes for seed in cell.seeds if seed.n_episodes]
         if cell.seeds:
             seeds.add(tuple(seed.seed for seed in cell.seeds))
     conditions: dict[str, Iterable[Setting]] = {

@@ -4,6 +4,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 
@@ -168,7 +169,7 @@ class SectionContent:
         """Whether the page has nothing of it."""
         return not (self.text or self.figures or self.readable_tables)
 
-    @property
+    @cached_property
     def readable_tables(self) -> list[Table]:
         """The tables that people read."""
         return [move_constants_to_caption(table) for table in self.tables if table.readable]

@@ -81,6 +81,7 @@ def read_points(log: bytes) -> list[dict[str, Any]]:
             if column is not None:
                 values[column] = float(value)
         if values:
+            # Conversion raises for what a column of int64 can't hold.
             step = int(np.int64(record["step"]))
             points.setdefault(step, {"step": step}).update(values)
     return list(points.values())

@@ -51,6 +51,8 @@ LOCAL_COLUMNS = (
 """Columns of runs that name a place on the machine; an export has none of them."""
 LABEL_COLUMNS = [f"{CONFIG_PREFIX}label", f"{CONFIG_PREFIX}contrasts"]
 """Columns of runs with labels, in which slashes separate no folders."""
+# A path from / or ~, also in a sqlite or file URI, but not in http://HOST/...; group 1 is its last
+# part.
 ABSOLUTE_PATH = re.compile(
     r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?"
 )

@@ -75,7 +75,7 @@ class Results:
     runs: pd.DataFrame = field(repr=False)
     curves: pd.DataFrame = field(repr=False)
     episodes: pd.DataFrame = field(repr=False)
-    uri: str  # the store
+    uri: str  # the store, or the folder of an export
     problems: tuple[str, ...] = ()  # a sentence for each thing that is missing or broken
     about: Mapping[str, Any] = field(default_factory=dict)  # report.json of an export
     paths: pd.DataFrame = field(repr=False, default_factory=_no_paths)

@@ -1,4 +1,8 @@
-"""The state of runs (done, running, failed, pending), read from their directories."""
+"""The state of runs, read from their directories.
+
+A run's `status` is what its status.json says. Its `stage` is what is true now: a run that is
+neither running, done nor failed is `pending`. Stores call it `interrupted`.
+"""
 
 import sys
 import time

@@ -9,7 +9,7 @@ import os
 import signal
 
 from parking_exp.garbage_collection import no_garbage_collection
-from parking_exp.resources import THREAD_VARIABLES
+from parking_exp.sweeps.resources import THREAD_VARIABLES
 
 # A terminal or Slurm signals all processes. This one has to outlive the checkpoints of its workers.
 STOP_SIGNALS = (signal.SIGHUP, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)

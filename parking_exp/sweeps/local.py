@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from parking_exp.errors import ConfigError
-from parking_exp.resources import available_cores, cuda_devices, divide_cores
+from parking_exp.sweeps.resources import available_cores, cuda_devices, divide_cores
 from parking_exp.sweeps.supervisor import WorkerResult, supervise
 from parking_exp.sweeps.worker_process import LOCAL_START_METHOD
 from parking_exp.terminal import say

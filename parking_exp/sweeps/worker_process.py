@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from parking_exp.resources import THREAD_VARIABLES
+from parking_exp.sweeps.resources import THREAD_VARIABLES
 from parking_exp.sweeps.worker import work
 
 StartMethod = Literal["spawn", "forkserver"]

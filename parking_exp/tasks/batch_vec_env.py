@@ -40,8 +40,8 @@ class BatchVecEnv(VecEnv):
         return seeds
 
     def sample(self, rng: np.random.Generator, number: int) -> Any:
-        """Return random episodes, which no evaluation has."""
-        # The seeds of all tasks: a config's own `training_seeds` are for the first episodes.
+        """Return random episodes; their seeds are above those of all evaluations."""
+        # Of all tasks: a task's own range is for the first episodes.
         seeds = TaskConfig.training_seeds
         return rng.integers(seeds.start, seeds.stop, number).tolist()
 

@@ -1,6 +1,5 @@
 """Registry of tasks: the `env` group and metrics of all, and the task and report of each."""
 
-import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
@@ -52,10 +51,10 @@ FAILURES = tuple(name for name in OUTCOMES if name not in ("success", "timeout")
 """Outcomes of episodes that ended badly; each task has one of them."""
 METRIC_KEYS = {metric.key for metric in METRICS}
 ADDED_KEY = re.compile(r"\w+_(rate|mean)")
-TRAINING_KEYS = list(
-    itertools.chain.from_iterable(env.training_keys for env in ENV_CONFIGS.values())
-)
-TRAINING_ONLY = frozenset(f"env.{key}" for key in ("name", "metrics", *TRAINING_KEYS))
+TRAINING_KEYS = ["name", "metrics"]
+for _config in ENV_CONFIGS.values():
+    TRAINING_KEYS += _config.training_keys
+TRAINING_ONLY = frozenset(f"env.{key}" for key in TRAINING_KEYS)
 """Config keys of tasks that do not change the episodes of an evaluation."""
 DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not metric.is_outcome}
 """Types of the columns of an episodes table, but for seed and outcome."""

@@ -79,19 +79,22 @@ class TaskConfig(ConfigModel, ABC):
         """Yield a sentence for each of the changes, by key, that evaluations can't make."""
         yield from ()
 
-    def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each option of policy or buffer that the task does not support."""
+    def model_problems(self, features: str, buffer: Any) -> Iterator[str]:
+        """Yield a sentence for each option of policy or buffer that the task does not support.
+
+        `buffer` is the `buffer` group.
+        """
         if features != "raw":
             yield (
                 f"algorithm.features={features} is available for parking only; use "
                 "algorithm.features=raw"
             )
-        if buffer.get("relabel_collision") == "keep":
+        if buffer.arguments.get("relabel_collision") == "keep":
             yield (
                 "buffer.relabel_collision=keep needs the penalty for a failure, which is unknown; "
                 "use exclude or sb3"
             )
-        if buffer.get("goal_velocity") == "zero":
+        if buffer.arguments.get("goal_velocity") == "zero":
             yield (
                 "buffer.goal_velocity=zero needs to know which entries of a goal are velocities; "
                 "use achieved"

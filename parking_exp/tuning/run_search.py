@@ -139,9 +139,16 @@ def _retest(search: Search, trials: Sequence[TrialRow], launcher: Launcher) -> l
         config = search.config(trial.changes).model_copy(update={"seed": seed})
         path = config.run_dir
         entries = {"search": search.folder.name, "trial": trial.number}
-        is_retried = request.retry is not None
-        state = read_state(path)
-        planned.append(PlannedRun(config, path, trial.label, state, is_retried, entries))
+        planned.append(
+            PlannedRun(
+                config=config,
+                path=path,
+                label=trial.label,
+                state=read_state(path),
+                retried=request.retry is not None,
+                entries=entries,
+            )
+        )
     sweep(planned, launcher)
 
     retested = []

@@ -170,8 +170,11 @@ class StoredSearch:
 def read_search(folder: Path) -> StoredSearch | None:
     """Return the search of an experiment's folder; None without one.
 
+    A `search.json` that holds no JSON object counts as none. The search's own command writes it
+    anew.
+
     Raises:
-        ConfigError: its settings are damaged.
+        ConfigError: an entry is missing or wrong.
         StoreError: its trials are damaged.
         UntrustedError: see `open_storage`.
     """

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, NonNegativeInt, model_validator
 
 from parking_exp.config.schema import SweepOptions
-from parking_exp.config_model import Bounds, ConfigModel, Name
+from parking_exp.config_model import Bounds, ConfigModel, Name, RunSeed, Two
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
@@ -16,7 +16,7 @@ HYPERPARAMETERS = ("algorithm", "buffer", "env", "n_envs", "updates_per_step")
 """Keys that a space may have: these, and keys of these groups."""
 Value = bool | int | float | str | None | list[Any] | dict[str, Any]
 NumberOfTrials = Annotated[int, Field(ge=1, le=100_000)]
-Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
+Seeds = Annotated[list[RunSeed], Field(min_length=1)]
 
 
 class Dimension(ConfigModel):
@@ -31,9 +31,7 @@ class Dimension(ConfigModel):
 
     log: Bounds | None = None
     uniform: Bounds | None = None
-    whole: Annotated[list[int], Field(min_length=2, max_length=2)] | None = Field(
-        default=None, alias="int"
-    )
+    whole: Two[int] | None = Field(default=None, alias="int")
     choices: Annotated[list[Value], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")

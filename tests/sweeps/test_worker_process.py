@@ -25,9 +25,9 @@ from support.sweep_processes import (
     workers,
 )
 
-from parking_exp.resources import available_cores, divide_cores
 from parking_exp.results.frames import load
 from parking_exp.sweeps import local
+from parking_exp.sweeps.resources import available_cores, divide_cores
 
 TWO = ("seeds=2", "hydra.launcher.n_jobs=2")
 TELLS = "algorithm._target_=support.user_algorithms.Tells"

@@ -6,9 +6,14 @@ from shapely import box
 from support.shapes import polygon
 
 from parking_exp.config.compose import compose
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, move_ahead
 from parking_exp.tasks.parking.free_space import FreeSpace
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, OBSTACLE_M
+from parking_exp.tasks.parking.geometry import (
+    CAR_LENGTH_M,
+    CAR_WIDTH_M,
+    OBSTACLE_M,
+    REAR_AXLE_M,
+    move_ahead,
+)
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.scenes import NO_SLOT
 

@@ -23,6 +23,11 @@ from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 LOTS = ("parking_parallel", "parking_bays", "parking_angled", "parking_dead_end")
 LEVELS = ("easy", "normal", "hard", "extreme")
+SB3_HER = (
+    "buffer=replay",
+    "buffer._target_=stable_baselines3.HerReplayBuffer",
+    "++buffer.goal_selection_strategy=future",
+)
 LOTS_AND_LEVELS = [(lot, level) for lot in (*LOTS, "parking_lots") for level in LEVELS]
 
 
@@ -246,6 +251,16 @@ def test_a_scene_is_made_from_the_first_numbers_of_its_seed():
 def test_a_lot_that_cannot_be_is_one_sentence(overrides, message):
     keys = [f"env.{override}" for override in overrides]
     assert message in config_refusal("env=parking_parallel", *keys)
+
+
+def test_a_buffer_that_does_not_know_the_sizes_of_slots_is_refused():
+    sentence = config_refusal("env=parking_parallel", *SB3_HER)
+    assert "does not know the sizes of slots" in sentence
+
+
+def test_a_buffer_that_keeps_infos_is_refused_since_checkpoints_do_not_have_them():
+    sentence = config_refusal("env=parking", *SB3_HER, "++buffer.copy_info_dict=true")
+    assert sentence.startswith("buffer.copy_info_dict=true: checkpoints do not have infos")
 
 
 def test_a_level_that_there_is_not_is_the_only_key_that_is_named():

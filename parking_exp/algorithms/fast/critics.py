@@ -52,10 +52,14 @@ class Critics:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the values of actions, and the gradient of their negative mean.
 
-        The gradient is with respect to the actions.
+        Args:
+            inputs: features and actions, shape (batch, features + n_actions).
+            n_actions: size of an action.
+            n_critics: how many critics count, from the first on; by default all.
 
-        A value, shape (batch, 1), is the smallest of the first `n_critics` critics, by default of
-        all. The gradient has the shape (batch, actions).
+        Returns:
+            The smallest value among these critics, shape (batch, 1), and the gradient of its
+            negative mean with respect to the actions, shape (batch, n_actions).
         """
         networks = self.networks[:n_critics]
         passes = [network.forward(inputs) for network in networks]

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, REAR_AXLE_M
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.task import EvaluationBatch, Observation, Step
 
 STANDING_MPS = 0.1
 """A slower car keeps its gear, so that trembling at rest does not count."""
-
-REAR_AXLE_M = CAR_LENGTH_M / 2  # behind the middle of highway-env's car
 
 
 class DrivenBatch(EvaluationBatch):
@@ -124,15 +122,6 @@ def _reeds_shepp_space(radius_m: float) -> Any:
     except ImportError:
         return None
     return base.ReedsSheppStateSpace(radius_m)
-
-
-def move_ahead(poses: np.ndarray, distance_m: float) -> np.ndarray:
-    """Return poses that are moved along their headings, shape (..., 3) [m, m, rad]."""
-    heading = poses[..., 2]
-    moved = poses.copy()
-    moved[..., 0] += distance_m * np.cos(heading)
-    moved[..., 1] += distance_m * np.sin(heading)
-    return moved
 
 
 def _rear_axle(observation: Observation) -> tuple[np.ndarray, np.ndarray]:

@@ -140,7 +140,7 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         12, 13  the car's velocity in these directions (observation units)
         14, 15  tanh(goal ahead / 2 m), tanh(goal to the left / 2 m)
         16, 17  tanh(car along / 2 m), tanh(car across / 2 m)
-        18      root of the weighted distance, the dense reward of parking-v0 times -1
+        18      weighted distance, the dense reward of parking-v0 times -1
         19      signed speed of the goal (observation units), if `reward_weights` weigh velocity
 
     9 columns of each vehicle follow: the 5 of `EgoFrameExtractor`, tanh(ahead / 4 m), tanh(left /

@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, move_ahead
 from parking_exp.tasks.parking.geometry import (
     CAR_SIZE_M,
+    REAR_AXLE_M,
     cars_at,
     direction_of,
     extent,
     join_rectangles,
     may_overlap,
+    move_ahead,
     obstacles_at,
 )
 from parking_exp.tasks.parking.scenes import Scenes

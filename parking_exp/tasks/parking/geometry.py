@@ -8,6 +8,7 @@ import numpy as np
 CAR_LENGTH_M, CAR_WIDTH_M = 5.0, 2.0
 CAR_SIZE_M = (CAR_LENGTH_M, CAR_WIDTH_M)
 CAR_DIAGONAL_M = float(np.sqrt(CAR_LENGTH_M**2 + CAR_WIDTH_M**2))
+REAR_AXLE_M = CAR_LENGTH_M / 2  # behind the middle of highway-env's car
 SLOT_LENGTH_M, SLOT_WIDTH_M = 8.0, 4.0
 LOT_LENGTH_M, LOT_WIDTH_M = 70.0, 42.0  # between the centre lines of the walls
 WALL_THICKNESS_M = 1.0
@@ -119,6 +120,15 @@ def in_frame(vector: Vectors, direction: Vectors | tuple[float, float]) -> np.nd
     x, y = vector
     cos, sin = direction
     return np.array([x * cos + y * sin, y * cos - x * sin])
+
+
+def move_ahead(poses: np.ndarray, distance_m: float) -> np.ndarray:
+    """Return poses that are moved along their headings, shape (..., 3) [m, m, rad]."""
+    heading = poses[..., 2]
+    moved = poses.copy()
+    moved[..., 0] += distance_m * np.cos(heading)
+    moved[..., 1] += distance_m * np.sin(heading)
+    return moved
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from parking_exp.config_model import Bounds, ConfigModel, equals
+from parking_exp.config_model import Bounds, ConfigModel, left_out
 from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, CAR_WIDTH_M, direction_of, extent
 
 SMALLEST = 1e-9  # lengths and differences below it count as 0
@@ -85,7 +85,7 @@ class LotDimensions:
     slot_width_m: np.ndarray
     aisle_width_m: np.ndarray
     angle_deg: np.ndarray
-    pitch_m: np.ndarray  # NaN: side by side
+    pitch_m: np.ndarray  # NaN: as close as they fit
     end_m: np.ndarray
 
     @property
@@ -120,7 +120,7 @@ class LotConfig(ConfigModel):
     slot_length_m: Length
     slot_width_m: Length
     aisle_width_m: Length
-    # From slot to slot along the aisle; None: side by side.
+    # From slot to slot along the aisle; None: as close as they fit.
     pitch_m: Length | None = None
     slots_per_row: Annotated[int, Field(ge=1, le=100)]
     rows: Literal[1, 2]
@@ -129,8 +129,7 @@ class LotConfig(ConfigModel):
     heading: Literal["in", "out"]
     neighbours: Literal["any", "taken"]
     starts: StartsConfig
-    # None: the env's own number. Left out of stored configs then.
-    vehicles_count: Annotated[VehiclesCount, Field(exclude_if=equals(None))] = None
+    vehicles_count: VehiclesCount = left_out(None)  # None: the env's own number
 
     @property
     def n_slots(self) -> int:

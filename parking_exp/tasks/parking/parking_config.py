@@ -7,7 +7,15 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from omegaconf import OmegaConf
 from pydantic import Field, PositiveFloat, model_validator
 
-from parking_exp.config_model import Bounds, ConfigModel, Duration, Pixels, Range, equals
+from parking_exp.config_model import (
+    Bounds,
+    ConfigModel,
+    Duration,
+    NonEmptyText,
+    Pixels,
+    Range,
+    left_out,
+)
 from parking_exp.tasks.parking.lot_config import LotConfig, VehiclesCount, bounds
 from parking_exp.tasks.task_config import TaskConfig
 
@@ -44,11 +52,8 @@ class ObservationConfig(ConfigModel):
     scales: list[PositiveFloat]
     normalize: bool
     vehicles_count: Annotated[int, Field(ge=0, le=100)] = 0
-    # Left out of stored configs and of the names of evaluations where they are the defaults.
-    rays: Annotated[int, Field(ge=0, le=360, exclude_if=equals(0))] = 0
-    rays_range_m: Annotated[float, Field(gt=0, le=1000, exclude_if=equals(RAYS_RANGE_M))] = (
-        RAYS_RANGE_M
-    )
+    rays: int = left_out(0, ge=0, le=360)
+    rays_range_m: float = left_out(RAYS_RANGE_M, gt=0, le=1000)
 
 
 # highway-env's own ranges, where the config has none [m/s2, rad, m/s].
@@ -110,14 +115,11 @@ class ParkingConfig(TaskConfig):
     training_duration: Duration | None
     training_success_goal_reward: PositiveFloat | None
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
-    # None: highway-env's own lot. Left out of stored configs then.
-    lot: Annotated[LotConfig | None, Field(exclude_if=equals(None))] = None
-    # Each scene is on one of these lots, and `lot` is None. Left out of stored configs if None.
-    lots: Annotated[dict[LotName, LotConfig] | None, Field(exclude_if=equals(None))] = None
+    lot: LotConfig | None = left_out(None)  # None: highway-env's own lot
+    # Each scene is on one of these lots, and `lot` is None.
+    lots: dict[LotName, LotConfig] | None = left_out(None)
     # `lot` takes its numbers from one of the levels, by interpolation.
-    level: Annotated[Annotated[str, Field(min_length=1)] | None, Field(exclude_if=equals(None))] = (
-        None
-    )
+    level: NonEmptyText | None = left_out(None)
     levels: Annotated[dict[str, dict[str, Any]] | None, Field(exclude=True)] = None
 
     observation: ObservationConfig
@@ -127,8 +129,7 @@ class ParkingConfig(TaskConfig):
     ]
     success_goal_reward: PositiveFloat
     collision_reward: float
-    # Left out of stored configs where it is the default.
-    standing_reward: Annotated[float, Field(le=0, exclude_if=equals(0.0))] = 0.0
+    standing_reward: float = left_out(0.0, le=0)
     steering_range: PositiveFloat
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
     # `episode_steps` counts duration x policy_frequency steps.
@@ -201,6 +202,11 @@ class ParkingConfig(TaskConfig):
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
     @property
+    def frames_per_step(self) -> int:
+        """Simulation frames of a policy step."""
+        return self.simulation_frequency // self.policy_frequency
+
+    @property
     def episode_steps(self) -> int:
         """The most policy steps of an episode, counted by adding floats like highway-env."""
         time = 0.0
@@ -259,6 +265,11 @@ class ParkingConfig(TaskConfig):
             for name in unknown:
                 yield f"env.lots.{name}: the run has no such lot; choose from {names}"
 
-    def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield nothing: all features and all arguments of the buffer are supported."""
-        yield from ()
+    def model_problems(self, features: str, buffer: Any) -> Iterator[str]:
+        """Yield a sentence if the buffer can't relabel on the lot; all else is supported."""
+        if self.lot_configs and buffer.class_name == "HerReplayBuffer":
+            yield (
+                f"buffer._target_={buffer.target} does not know the sizes of slots, on which the "
+                f"reward of env={self.name} depends; use "
+                "buffer._target_=parking_exp.buffers.HerBuffer"
+            )

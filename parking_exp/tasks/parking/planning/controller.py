@@ -2,15 +2,14 @@
 
 import numpy as np
 
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, direction_of, in_frame
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, REAR_AXLE_M, direction_of, in_frame
 
 SETTLING_M = 1.0  # the way on which errors across the path and of the heading settle
 GAIN = 0.5  # share of an error along the path that is corrected in a step
 
 
 def follow(
-    poses: np.ndarray, references: np.ndarray, max_curvature: float, dt: float, frames: int
+    poses: np.ndarray, references: np.ndarray, max_curvature: float, dt: float, frames_per_step: int
 ) -> np.ndarray:
     """Return acceleration [m/s2] and steering angle [rad] of cars, shape (n, 2).
 
@@ -22,7 +21,7 @@ def follow(
         references: rows of their trajectories, shape (n, REFERENCE).
         max_curvature: the largest curvature that the rear axle can have [1/m].
         dt: length of a frame of the simulation [s].
-        frames: the number of frames of a policy step.
+        frames_per_step: the number of frames of a policy step.
     """
     position, velocity, direction = np.split(poses.T, 3)
     ref_heading, _, next_speed, curvature, forward = references.T[2:]
@@ -45,7 +44,7 @@ def follow(
     # The simulator's speed is the speed of the car's centre, which is farther from the centre of
     # the turn.
     centre_speed_ratio = np.hypot(1.0, REAR_AXLE_M * curvature)
-    step_s = dt * frames
+    step_s = dt * frames_per_step
     target_speed = next_speed * centre_speed_ratio + GAIN * along_error / step_s
     acceleration = (target_speed - speed) / step_s
     return np.stack([acceleration, steering], axis=1)

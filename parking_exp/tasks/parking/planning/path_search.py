@@ -102,7 +102,7 @@ class _MotionValidator(base.MotionValidator):
         self._state_space = state_space
         self._free_space = free_space
         self._is_over = is_over
-        self._previous = np.empty((2, 3))
+        self._previous = np.full((2, 3), np.nan)  # no motion yet
 
     def checkMotion(self, first: Any, second: Any) -> bool:  # OMPL's name
         # RRTConnect connects its trees step by step, each from the nearest state. Rounding may make

@@ -9,9 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
-from parking_exp.tasks.parking.driven_path import REAR_AXLE_M, move_ahead
 from parking_exp.tasks.parking.free_space import FreeSpace
-from parking_exp.tasks.parking.geometry import CAR_LENGTH_M
+from parking_exp.tasks.parking.geometry import CAR_LENGTH_M, REAR_AXLE_M, move_ahead
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import RANGES, ParkingConfig
 from parking_exp.tasks.parking.parking_task import ParkingTask
@@ -66,12 +65,12 @@ class Planner(ScriptedPolicy):
         self._time_limit_s = time_limit_s
         config = task.config
         self._dt = 1 / config.simulation_frequency
-        self._frames = config.simulation_frequency // config.policy_frequency
+        self._frames_per_step = config.frames_per_step
         self._low, self._high = np.transpose(config.action.ranges)
         limit = config.action.limit
         self._max_curvature = np.tan(limit("steering_range")) / CAR_LENGTH_M
         self._pace = Pace(
-            step_s=self._dt * self._frames,
+            step_s=self._dt * self._frames_per_step,
             speed_mps=min(SPEED_MPS, LIMIT_FRACTION * limit("speed_range")),
             acceleration_mps2=LIMIT_FRACTION * limit("acceleration_range"),
         )
@@ -112,7 +111,9 @@ class Planner(ScriptedPolicy):
             rows.append(plan.trajectory[min(self._step, last)])
         self._step += 1
         poses = observation["achieved_goal"] * SCALES
-        controls = follow(poses, np.array(rows), self._max_curvature, self._dt, self._frames)
+        controls = follow(
+            poses, np.array(rows), self._max_curvature, self._dt, self._frames_per_step
+        )
         actions = 2 * (controls - self._low) / (self._high - self._low) - 1
         return np.clip(actions, -1, 1)
 

@@ -64,7 +64,7 @@ class Simulator(TrainingBatch):
         low, high = action.range_of("speed_range")
         self.speed_range: Limits = (low, high)
         self.clip = action.clip
-        self.frames = config.simulation_frequency // config.policy_frequency
+        self.frames_per_step = config.frames_per_step
         self.dt = 1 / config.simulation_frequency
         self.episode_steps = config.episode_steps
         self.walls = config.add_walls
@@ -207,7 +207,7 @@ class Simulator(TrainingBatch):
         sin_slip = np.sin(slip)
         gain = acceleration * self.dt
         farthest = np.abs(position)
-        for _ in range(self.frames):
+        for _ in range(self.frames_per_step):
             position, heading, speed = advance(
                 position, heading, speed, gain, slip, sin_slip, self.dt
             )
@@ -240,7 +240,7 @@ class Simulator(TrainingBatch):
         frame_travel = np.maximum(fastest, -slowest) * self.dt
         # During the step, the car's heading differs from its last one by at most `turn` [rad]. That
         # displaces its corners by at most `swing` [m].
-        turn = np.abs(sin_slip) * frame_travel * (self.frames / (CAR_LENGTH_M / 2))
+        turn = np.abs(sin_slip) * frame_travel * (self.frames_per_step / (CAR_LENGTH_M / 2))
         swing = turn * (CAR_DIAGONAL_M / 2)
         if self.walls:
             near = farthest + extent(state.direction) + (frame_travel + swing) > state.free
@@ -248,7 +248,7 @@ class Simulator(TrainingBatch):
             uncertain |= near[1]
         # The car goes at most this far from the end of the first frame to one frame after the last.
         # Its course differs from its last heading by at most the turn and the slip.
-        motion = frame_travel * self.frames
+        motion = frame_travel * self.frames_per_step
         if state.vehicles.shape[1]:
             swept = np.array([motion, motion * (turn + np.abs(sin_slip))])
             swept += swing + HALF_CAR_M
@@ -287,12 +287,12 @@ class Simulator(TrainingBatch):
     ) -> None:
         """Integrate a step frame by frame, in place, with speed limits, collisions and effects."""
         low, high = self.speed_range
-        fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)
+        fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames_per_step * self.dt)
         may_exceed_limits = fastest.max() > min(-low, high)
         slip = slip_angle(steering)
         sin_slip = np.sin(slip)
         fixtures = self._fixtures or self._collisions.fixtures(state)
-        for _ in range(self.frames):
+        for _ in range(self.frames_per_step):
             if state.crashed.any():
                 # No steering, and full brakes.
                 slip[state.crashed] = 0.0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from parking_exp.resources import cuda_devices, divide_cores
+from parking_exp.sweeps.resources import cuda_devices, divide_cores
 
 
 @pytest.mark.parametrize(
