@@ -123,7 +123,7 @@ def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
     factors, settings = find_factors(configs, [cell.experiment for cell in cells])
     if len(cells) > 1:
         labels = labels_from_factors(factors, settings, names)
-    elif cells[0].label:  # a selected cell is called as among all cells
+    elif cells[0].label:  # a selected cell keeps the label that it has among all cells
         labels = [cells[0].label]
     else:
         labels = label_cells(configs, names)

@@ -84,7 +84,7 @@ class StateForStore(NamedTuple):
     Attributes:
         status: the run's status there.
         files: files by their names there.
-        digest: a hash of the rest, and of names, sizes and times of change of the files.
+        digest: a hash, by which a later state is seen to be another one.
     """
 
     status: Status
