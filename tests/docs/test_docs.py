@@ -143,7 +143,7 @@ def test_runs_start_from_other_agents_as_their_page_shows(tmp_path):
     for command in commands(ROOT / "docs" / "starting.md"):
         if command.startswith("train.py") and "seeds=10" not in command:
             single_runs.append(command)
-    assert sum("init=" in command for command in single_runs) == 4
+    assert sum("init=" in command for command in single_runs) == 3
     for command in single_runs:
         _, *words = shlex.split(command)
         if "algorithm.learning_starts=0" not in words:
