@@ -20,7 +20,6 @@ ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
 # With more levels, values were probably drawn from a range: no main effects.
 MAX_LEVELS = 12
-COVERED = 0.75  # share of the combinations that makes a design crossed
 
 FAMILY = (
     "Comparisons of the final success of seeds: {}. p is that of the exact permutation test, with "
@@ -139,32 +138,23 @@ def judge(difference: Difference) -> Verdict:
 def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> list[MainEffect]:
     """Return the main effect of each factor.
 
-    There are none unless factors are crossed, or the only factor is a number with three or more
-    levels. A control that lacks a factor is left out: replay, e.g., has no `n_sampled_goal`.
+    There are none unless all combinations of two or more factors have a rate, or the only factor is
+    a number with three or more levels. A control that lacks a factor is left out: replay, e.g., has
+    no `n_sampled_goal`.
     """
-    complete_cells = [cell for cell in cells if None not in cell.settings.values()]
-    varied = _find_varied(complete_cells, factors)
-    rated = [cell for cell in complete_cells if cell.success.value is not None]
-    if not varied or not rated:
-        return []
-    rates = []
-    for cell in rated:
-        levels = [cell.settings[key] for key in varied]
-        rates.append((levels, seed_rates(cell)))
-    return main_effects(varied, rates)
-
-
-def _find_varied(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> list[str]:
-    """Return the keys of crossed factors, or of a single number with three or more levels."""
+    crossed = []
+    for cell in cells:
+        if cell.success.value is not None and None not in cell.settings.values():
+            crossed.append(cell)
     n_levels = {}
     for factor in factors:
-        levels = {cell.settings[factor.key] for cell in cells}
-        if len(levels) > 1:
-            n_levels[factor.key] = len(levels)
-    is_series = len(factors) == 1 and factors[0].numeric and len(factors[0].levels) > 2
-    if len(n_levels) < 2 and not is_series:
+        n_levels[factor.key] = len({cell.settings[factor.key] for cell in crossed})
+    varied = [key for key, n in n_levels.items() if n > 1]
+    is_series = len(factors) == 1 and factors[0].numeric and n_levels[factors[0].key] > 2
+    if len(varied) < 2 and not is_series:
         return []
-    n_combinations = math.prod(n_levels.values())
-    if max(n_levels.values()) > MAX_LEVELS or len(cells) < COVERED * n_combinations:
+    if max(n_levels.values()) > MAX_LEVELS or len(crossed) < math.prod(n_levels.values()):
         return []
-    return list(n_levels)
+
+    rates = [([cell.settings[key] for key in varied], seed_rates(cell)) for cell in crossed]
+    return main_effects(varied, rates)

@@ -107,15 +107,13 @@ def _write_gap(label: str, difference: Difference) -> str:
 
 
 def _describe_factors(report: ReportData) -> Iterator[str]:
-    """Yield what the levels of each crossed factor do, where all combinations are there."""
+    """Yield what the levels of each crossed factor do."""
     for effect in report.effects_by_size:
-        if not effect.complete:
-            continue
         high = effect.highest
         low = effect.lowest
         parts = [points_interval_in_words(effect.largest)]
-        if effect.p_corrected is not None:
-            parts.append(p_in_words(effect.p_corrected))
+        if effect.largest.p_corrected is not None:
+            parts.append(p_in_words(effect.largest.p_corrected))
         verdict = LEVEL_VERDICTS.get(judge(effect.largest), "")
         high_rate = percent_interval_in_words(high.effect)
         low_rate = percent_interval_in_words(low.effect)

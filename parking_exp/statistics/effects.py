@@ -31,21 +31,16 @@ class MainEffect:
     Attributes:
         factor: its key.
         levels: the mean of each.
-        complete: whether all combinations are there; else levels are averaged over different cells.
         highest: the level with the highest mean; of equal ones, the first.
         lowest: the level with the lowest mean; of equal ones, the last.
-        largest: the highest mean minus the lowest, with a corrected interval.
-        p_corrected: the p value of that difference, corrected (Bonferroni) over all pairs of
-            levels; None where combinations are missing.
+        largest: the highest mean minus the lowest, corrected (Bonferroni) over all pairs of levels.
     """
 
     factor: str
     levels: Sequence[Level]
-    complete: bool
     highest: Level
     lowest: Level
     largest: Difference
-    p_corrected: float | None
 
 
 def main_effects(
@@ -53,15 +48,13 @@ def main_effects(
 ) -> list[MainEffect]:
     """Return the main effect of every factor with more than one level.
 
-    A cell is (level of each factor, rates). All cells have equal weights. Intervals and p come
-    from `compare`, which permutes seeds between cells with the same levels of the other factors.
-    There is no p if combinations are missing. Levels are sorted, numbers before texts.
+    A cell is (level of each factor, rates), and there is one of each combination. All cells have
+    equal weights. Intervals and p come from `compare`, which permutes seeds between cells with the
+    same levels of the other factors. Levels are sorted, numbers before texts.
     """
     by_factor = [_group_by_level(cells, number) for number in range(len(factors))]
-    n_combinations = math.prod(len(levels) for levels in by_factor)
-    complete = len({tuple(levels) for levels, _ in cells}) == n_combinations
     return [
-        _main_effect(factor, levels, complete)
+        _main_effect(factor, levels)
         for factor, levels in zip(factors, by_factor, strict=True)
         if len(levels) > 1
     ]
@@ -78,13 +71,11 @@ def _group_by_level(
     return {level: groups[level] for level in order}
 
 
-def _main_effect(
-    factor: str, cells: Mapping[Any, Sequence[SeedRates]], complete: bool
-) -> MainEffect:
+def _main_effect(factor: str, cells: Mapping[Any, Sequence[SeedRates]]) -> MainEffect:
     levels = [Level(level, contrast(rates), len(rates)) for level, rates in cells.items()]
-    highest = max(levels, key=lambda level: level.mean)
-    lowest = min(reversed(levels), key=lambda level: level.mean)
+    ranked = sorted(levels, key=lambda level: level.mean, reverse=True)
+    highest = ranked[0]
+    lowest = ranked[-1]
     n_pairs = math.comb(len(levels), 2)
     (largest,) = compare([(cells[highest.level], cells[lowest.level])], n_pairs=n_pairs)
-    p_corrected = largest.p_corrected if complete else None
-    return MainEffect(factor, levels, complete, highest, lowest, largest, p_corrected)
+    return MainEffect(factor, levels, highest, lowest, largest)

@@ -20,12 +20,12 @@ class _Assignments(NamedTuple):
     """The differences of means in all assignments of seeds to two cells.
 
     Attributes:
-        observed: the difference in the assignment that was made, in any unit.
-        differences: all possible ones, in the same unit, shape (n,).
+        observed: the difference in the assignment that was made.
+        differences: all possible ones, shape (n,).
         shares: of the assignments that have each difference, shape (n,).
     """
 
-    observed: int
+    observed: float
     differences: np.ndarray
     shares: np.ndarray
 
@@ -51,9 +51,7 @@ def permutation_p(strata: Sequence[tuple[ArrayLike, ArrayLike]]) -> float:
     total = assignments[0]
     if len(assignments) > 1:
         n_steps = rate_steps * math.lcm(*map(np.size, cells))
-        n_steps = min(n_steps, MAX_SUMMED_STEPS // len(strata))
-        units = [rate_steps * np.size(a) * np.size(b) for a, b in strata]
-        total = _add(assignments, units, n_steps)
+        total = _add(assignments, min(n_steps, MAX_SUMMED_STEPS // len(strata)))
 
     as_far = np.abs(total.differences) >= abs(total.observed)
     p = math.fsum(total.shares[as_far])
@@ -74,10 +72,7 @@ def _choose_rate_steps(rates: np.ndarray) -> int:
 
 
 def _assign(a: ArrayLike, b: ArrayLike, rate_steps: int) -> _Assignments:
-    """Assign the seeds of two cells in all ways; differences are in 1 / (rate_steps * n_a * n_b).
-
-    Rates are rounded to 1 / rate_steps.
-    """
+    """Assign the seeds of two cells in all ways, with rates rounded to 1 / rate_steps."""
     if np.size(a) > np.size(b):  # fewer sums are counted for the smaller cell
         swapped = _assign(b, a, rate_steps)
         return _Assignments(-swapped.observed, -swapped.differences, swapped.shares)
@@ -91,28 +86,26 @@ def _assign(a: ArrayLike, b: ArrayLike, rate_steps: int) -> _Assignments:
     seeds = np.rint(above_lowest / step).astype(int)
     total = seeds.sum()
     sums_of_a = np.arange(total + 1)
-    differences = step * (sums_of_a * (n_a + n_b) - total * n_a)
+    # Whole numbers are divided last, so that equal distances from 0 stay equal.
+    differences = step * (sums_of_a * (n_a + n_b) - total * n_a) / (rate_steps * n_a * n_b)
     observed = differences[seeds[:n_a].sum()]
-    return _Assignments(int(observed), differences, _share_sums(seeds, n_a))
+    return _Assignments(observed, differences, _share_sums(seeds, n_a))
 
 
-def _add(assignments: list[_Assignments], units: list[int], n_steps: int) -> _Assignments:
-    """Add the differences of strata, rounded to 1 / n_steps.
-
-    `units` says how many units of each stratum make a difference of 1.
-    """
+def _add(assignments: list[_Assignments], n_steps: int) -> _Assignments:
+    """Add the differences of strata, as whole numbers of steps of 1 / n_steps."""
     from scipy.signal import fftconvolve
 
     observed = 0
     shares = np.ones(1)
-    for stratum, unit in zip(assignments, units, strict=True):
-        differences = np.rint(stratum.differences / unit * n_steps).astype(int)
+    for stratum in assignments:
+        differences = np.rint(stratum.differences * n_steps).astype(int)
         farthest = np.abs(differences).max()
         shares_in_stratum = np.bincount(
             differences + farthest, weights=stratum.shares, minlength=2 * farthest + 1
         )
         shares = fftconvolve(shares, shares_in_stratum)
-        observed += round(stratum.observed / unit * n_steps)
+        observed += round(stratum.observed * n_steps)
 
     differences = np.arange(len(shares)) - len(shares) // 2
     return _Assignments(observed, differences, shares)

@@ -197,6 +197,7 @@ def factors_table(report: ReportData) -> Iterator[Table]:
         row["name"] = report.factor_names[effect.factor]
         row["highest"] = effect.highest.level
         row["lowest"] = effect.lowest.level
+        row["p_corrected"] = effect.largest.p_corrected
         rows.append(row)
     yield Table(
         "factors",
@@ -209,8 +210,7 @@ def factors_table(report: ReportData) -> Iterator[Table]:
             Column("p (Bonferroni)", "p_corrected", formats.p_value),
         ],
         "Factors: the levels with the highest and the lowest mean over the other factors, and "
-        "their difference in percentage points, with 95 % intervals."
-        f"{_warn_of_missing_combinations(report)}",
+        "their difference in percentage points, with 95 % intervals.",
         latex=True,
     )
 
@@ -231,14 +231,9 @@ def effects_table(report: ReportData) -> Iterator[Table]:
             Column("Cells", "cells", formats.number),
         ],
         "Main effects: mean final success at each level over the levels of the other factors, "
-        f"{WITH_INTERVALS}.{_warn_of_missing_combinations(report)}",
+        f"{WITH_INTERVALS}.",
         latex=True,
     )
-
-
-def _warn_of_missing_combinations(report: ReportData) -> str:
-    complete = all(effect.complete for effect in report.effects)
-    return "" if complete else " Combinations are missing: levels are not comparable."
 
 
 def config_table(report: ReportData) -> Iterator[Table]:
