@@ -125,14 +125,15 @@ def judge(difference: Difference) -> Verdict:
 
     The test has no power with few seeds; the interval is too narrow where seeds collapse.
     """
-    if difference.p_corrected is None or difference.low is None or difference.value is None:
+    if difference.p_corrected is None or difference.low is None or difference.high is None:
         return "unknown"
     is_significant = difference.p_corrected < SIGNIFICANT
-    if is_significant != difference.excludes_0:
+    excludes_0 = difference.low > 0 or difference.high < 0
+    if is_significant != excludes_0:
         return "unclear"
     if not is_significant:
         return "same"
-    return "a" if difference.value > 0 else "b"
+    return "a" if difference.low > 0 else "b"
 
 
 def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> list[MainEffect]:
@@ -142,19 +143,22 @@ def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> l
     a number with three or more levels. A control that lacks a factor is left out: replay, e.g., has
     no `n_sampled_goal`.
     """
-    crossed = []
+    rated = []
     for cell in cells:
         if cell.success.value is not None and None not in cell.settings.values():
-            crossed.append(cell)
+            rated.append(cell)
     n_levels = {}
     for factor in factors:
-        n_levels[factor.key] = len({cell.settings[factor.key] for cell in crossed})
-    varied = [key for key, n in n_levels.items() if n > 1]
+        n_levels[factor.key] = len({cell.settings[factor.key] for cell in rated})
+    n_varied = sum(n > 1 for n in n_levels.values())
     is_series = len(factors) == 1 and factors[0].numeric and n_levels[factors[0].key] > 2
-    if len(varied) < 2 and not is_series:
-        return []
-    if max(n_levels.values()) > MAX_LEVELS or len(crossed) < math.prod(n_levels.values()):
+    if n_varied < 2 and not is_series:
         return []
 
-    rates = [([cell.settings[key] for key in varied], seed_rates(cell)) for cell in crossed]
-    return main_effects(varied, rates)
+    rates = {}
+    for cell in rated:
+        rates[tuple(cell.settings[key] for key in n_levels)] = seed_rates(cell)
+    is_complete = len(rated) == len(rates) == math.prod(n_levels.values())
+    if max(n_levels.values()) > MAX_LEVELS or not is_complete:
+        return []
+    return main_effects(list(n_levels), list(rates.items()))

@@ -20,8 +20,7 @@ class Difference(Interval):
     """mean(a) - mean(b) with its interval, and the two-sided p of the permutation test.
 
     Attributes:
-        p: None where a side has fewer than ENOUGH_FOR_A_TEST seeds, a cell has a single one, or
-            cells lack a counterpart.
+        p: None where a side has fewer than ENOUGH_FOR_A_TEST seeds, or a cell has a single one.
         p_corrected: the same with Bonferroni's correction.
     """
 
@@ -39,7 +38,7 @@ def compare(
     makes their intervals simultaneous.
 
     Args:
-        pairs: the cells of both sides of each pair.
+        pairs: the cells of both sides of each pair, as many on each side.
         alpha: the intervals of the family hold together at the level 1 - alpha.
         n_pairs: the number of pairs if the family is larger; 0: count the pairs that have a p.
     """
@@ -57,8 +56,7 @@ def compare(
 
 
 def _test(a: Cells, b: Cells) -> float | None:
-    n_seeds = min(_count_seeds(a), _count_seeds(b))
-    if n_seeds < ENOUGH_FOR_A_TEST or len(a) != len(b):
+    if min(_count_seeds(a), _count_seeds(b)) < ENOUGH_FOR_A_TEST:
         return None
     if min(np.size(cell.rates) for cell in [*a, *b]) == 1:  # there is no interval, so no verdict
         return None

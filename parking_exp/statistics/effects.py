@@ -18,11 +18,6 @@ class Level:
     effect: Interval
     cells: int
 
-    @property
-    def mean(self) -> float:
-        """The mean; 0 without data."""
-        return self.effect.value or 0.0
-
 
 @dataclass(frozen=True)
 class MainEffect:
@@ -73,7 +68,7 @@ def _group_by_level(
 
 def _main_effect(factor: str, cells: Mapping[Any, Sequence[SeedRates]]) -> MainEffect:
     levels = [Level(level, contrast(rates), len(rates)) for level, rates in cells.items()]
-    ranked = sorted(levels, key=lambda level: level.mean, reverse=True)
+    ranked = sorted(levels, key=lambda level: level.effect.value or 0.0, reverse=True)
     highest = ranked[0]
     lowest = ranked[-1]
     n_pairs = math.comb(len(levels), 2)

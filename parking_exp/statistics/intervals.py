@@ -17,8 +17,3 @@ class Interval:
     low: float | None = None
     high: float | None = None
     n: int = 0
-
-    @property
-    def excludes_0(self) -> bool:
-        """Whether the interval has ends and 0 lies outside."""
-        return self.low is not None and self.high is not None and not self.low <= 0 <= self.high

@@ -337,6 +337,7 @@ def test_a_factorial_report_begins_with_what_each_factor_does_the_largest_first(
     factors, levels = readable[0].readable_tables
     assert [factors.columns[0].write(row) for row in factors.rows] == by_size
     assert factors.columns[3].write(factors.rows[0]).startswith("+91.7 [")
+    assert factors.columns[4].write(factors.rows[0]) == "≤ 0.0001"
     assert len(levels.rows) == 7
     assert report.drawn_pairs == ()
     assert any("No figure shows the 66 pairs" in note for note in report.notes)
@@ -596,6 +597,14 @@ def test_levels_are_compared_only_where_the_crossing_is_complete():
     report = content(cells, look=runs)
     assert report.effects == []
     assert not any("averaged over other factors" in claim for claim in report.claims)
+
+
+def test_a_level_without_any_result_is_left_out_of_the_main_effects():
+    looks = {f"{name}4": Run(status="running") for name in ("future", "final")}
+    cells = crossed(goals=(1, 2, 4))
+    report = content(cells, [0, 1], lambda label, _: looks.get(label, Run()), quick=True)
+    levels = {effect.factor: [level.level for level in effect.levels] for effect in report.effects}
+    assert levels["buffer.n_sampled_goal"] == [1, 2]
 
 
 def test_labels_name_the_experiment_if_there_are_several():

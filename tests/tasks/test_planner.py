@@ -1,6 +1,7 @@
 """The planner: its paths, and how the car follows them, in the simulator and in highway-env."""
 
 import importlib.util
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_policy import evaluate_policy, find_differences
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.planning import Planner
+from parking_exp.tasks.parking.planning.planner import OmplPlanner
 from parking_exp.tasks.parking.planning.trajectory import REFERENCE, Pace, make_trajectory
 from parking_exp.tasks.parking.scene_shapes import scene_shapes
 from parking_exp.tasks.registry import make_task
@@ -94,6 +96,11 @@ def test_a_car_parks_among_obstacles_and_a_slower_one_in_a_tight_slot(overrides)
 
 def test_a_scene_in_which_ompl_would_repeat_a_step_forever_is_solved():
     assert len(make_planner("env=parking").find_path(0)) > 1
+
+
+@pytest.mark.parametrize("name", get_args(OmplPlanner))
+def test_each_planner_finds_a_path(name):
+    assert len(make_planner("env=parking_parallel", planner=name).find_path(0)) > 1
 
 
 def test_without_a_path_the_car_stands_until_the_time_is_over():

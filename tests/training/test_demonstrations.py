@@ -120,6 +120,12 @@ def test_the_runs_of_a_cell_share_a_file_and_each_counts_its_cpu_time(tmp_path):
     assert len(list((tmp_path / "demonstrations").glob("*.npz"))) == 1
 
 
+def test_another_env_has_a_file_of_its_own(tmp_path):
+    for overrides in ([], ["seed=1"], ["env.level=hard"]):
+        demonstrated(configured(tmp_path, "buffer.demonstrations=1", *overrides))
+    assert len(list((tmp_path / "demonstrations").glob("*.npz"))) == 2
+
+
 def walked(output_dir, *overrides):
     """A config of a user's task, in which a policy of theirs demonstrates."""
     folder = write_option(output_dir / "my_conf", "support.user_policies.LongSteps")

@@ -86,12 +86,13 @@ def test_a_run_that_is_killed_while_it_plans_ends_as_if_it_had_not_been(planned,
     pd.testing.assert_frame_equal(episodes(tmp_path), episodes(planned[0]))
 
 
-def test_a_finished_run_is_evaluated_with_a_replay_of_the_same_episodes(planned):
+def test_a_finished_run_is_evaluated_with_a_replay_and_a_video_of_the_same_episodes(planned):
     output_dir, _ = planned
-    arguments = ("run=latest", "episodes=6", "replay=true", "simulator=vectorized")
+    arguments = ("run=latest", "episodes=6", "video=1", "replay=true", "simulator=vectorized")
     call_script("evaluate", *arguments, f"output_dir={output_dir}", code=0)
     folder = only_run(output_dir).path / "evaluations/parking_parallel-final-seeds-0-5-vectorized"
     assert (folder / "replay.html").stat().st_size > 10_000
+    assert (folder / "video.mp4").stat().st_size > 10_000
     evaluated = pd.read_csv(folder / "episodes.csv").drop(columns="plan_s")
     final = episodes(output_dir).query("phase == 'final'").reset_index(drop=True)
     pd.testing.assert_frame_equal(evaluated, final.drop(columns=["phase", "step"]))
