@@ -159,6 +159,7 @@ def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> l
     for cell in rated:
         rates[tuple(cell.settings[key] for key in n_levels)] = seed_rates(cell)
     is_complete = len(rated) == len(rates) == math.prod(n_levels.values())
-    if max(n_levels.values()) > MAX_LEVELS or not is_complete:
+    most_levels = max(len(factor.levels) for factor in factors)
+    if most_levels > MAX_LEVELS or not is_complete:
         return []
     return main_effects(list(n_levels), list(rates.items()))

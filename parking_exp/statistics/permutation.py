@@ -21,7 +21,7 @@ class _Assignments(NamedTuple):
 
     Attributes:
         observed: the difference in the assignment that was made.
-        differences: all possible ones, shape (n,).
+        differences: all possible ones, in the same unit, shape (n,).
         shares: of the assignments that have each difference, shape (n,).
     """
 

@@ -179,15 +179,17 @@ def test_rates_of_ten_thousand_episodes_are_told_apart():
 def test_p_of_rates_that_are_no_shares_of_episodes_is_that_of_all_assignments():
     rng = np.random.default_rng(0)
     a = rng.random(6)
-    b = 0.6 * rng.random(6)
-    assert permutation_p([(a, b)]) == pytest.approx(enumerate_assignments([(a, b)]), rel=0.05)
+    b = 0.2 * rng.random(6)
+    assert permutation_p([(a, b)]) == pytest.approx(enumerate_assignments([(a, b)]))
 
 
 def test_p_of_strata_moves_by_less_than_5_percent_where_sums_are_rounded(monkeypatch):
     rng = np.random.default_rng(1)
-    strata = [(rng.binomial(500, 0.9, 10) / 500, rng.binomial(500, 0.89, 9) / 500) for _ in "ab"]
+    strata = []
+    for _ in range(2):
+        strata.append((rng.binomial(500, 0.9, 10) / 500, rng.binomial(500, 0.88, 9) / 500))
     exact = permutation_p(strata)
-    monkeypatch.setattr("parking_exp.statistics.permutation.MAX_SUMMED_STEPS", 20_000)
+    monkeypatch.setattr("parking_exp.statistics.permutation.MAX_SUMMED_STEPS", 10_000)
     rounded = permutation_p(strata)
     assert abs(rounded - exact) > 1e-6
     assert rounded == pytest.approx(exact, rel=0.05)

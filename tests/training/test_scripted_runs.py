@@ -86,7 +86,7 @@ def test_a_run_that_is_killed_while_it_plans_ends_as_if_it_had_not_been(planned,
     pd.testing.assert_frame_equal(episodes(tmp_path), episodes(planned[0]))
 
 
-def test_a_finished_run_is_evaluated_with_a_replay_and_a_video_of_the_same_episodes(planned):
+def test_a_finished_run_is_evaluated_on_the_same_episodes_with_a_replay_and_a_video(planned):
     output_dir, _ = planned
     arguments = ("run=latest", "episodes=6", "video=1", "replay=true", "simulator=vectorized")
     call_script("evaluate", *arguments, f"output_dir={output_dir}", code=0)

@@ -20,9 +20,7 @@ from parking_exp.tasks.parking.simulator.scene_state import SCALES
 from parking_exp.tasks.scripted_policy import ScriptedPolicy
 from parking_exp.tasks.task import Observation
 
-OmplPlanner = Literal[
-    "RRTConnect", "RRT", "RRTstar", "InformedRRTstar", "BITstar", "FMT", "BFMT", "KPIECE1"
-]
+OmplPlanner = Literal["RRTConnect", "RRT", "RRTstar", "InformedRRTstar", "BITstar", "FMT", "BFMT"]
 """Planners of OMPL that find paths here. PRM's threads would wait for Python forever."""
 SPEED_MPS = 2.5
 # Plans stay below the limits of the car, so that errors can be corrected.
