@@ -143,20 +143,19 @@ class Experiment:
         """Return p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
         return formats.p_in_words(self._pair(first, second).rank_p)
 
-    def cpu_time_ratio(self, first: str, second: str) -> str:
+    def least_cpu_time_ratio(self, first: str, second: str) -> str:
         """Return the second cell's CPU time until success stays at 95 %, divided by the first's.
 
-        It has a 95 % interval, e.g. `250 [210, 300]`: see `ratio_of_times`. Success stays at 95 %
-        from the first of three evaluations in a row that have it.
+        It is the lower end of an interval: see `least_ratio_of_times`. Success stays at 95 % from
+        the first of three evaluations in a row that have it.
         """
-        ratio = ratio_of_times(self._cpu_s_to_95(second), self._cpu_s_to_95(first))
-        value, low, high = (f"{number:.0f}" for number in ratio)
-        return f"{value} [{low}, {high.replace('inf', '∞')}]"
+        ratio = least_ratio_of_times(self._cpu_s_to_95(second), self._cpu_s_to_95(first))
+        return f"{ratio:.0f}"
 
     def cpu_s_to_95(self, label: str) -> str:
         """Return the median CPU seconds until success of a cell's seeds stays at 95 %."""
         median = float(np.median(self._cpu_s_to_95(label)))
-        return formats.number(median)
+        return formats.number(median) if np.isfinite(median) else "not reached"
 
     def each_cpu_s_to_95(self, label: str) -> str:
         """List the CPU seconds of each seed of a cell until success stays at 95 %."""
@@ -385,12 +384,12 @@ def _filled(item: str) -> str:
     return lines.replace(NO_BREAK, " ")
 
 
-def ratio_of_times(times: np.ndarray, others: np.ndarray) -> tuple[float, float, float]:
-    """Return the ratio of two samples of times, and the ends of its 95 % interval.
+def least_ratio_of_times(times: np.ndarray, others: np.ndarray) -> float:
+    """Return the lower end of the 95 % interval of the ratio of two samples of times.
 
-    It is the median of the ratios of all pairs. The interval inverts the exact test of Mann and
-    Whitney (Hodges and Lehmann 1963). It supposes that both have the same distribution but for a
-    factor. Shape (seeds,) each. Times of the first may be inf, where only a lower limit is known.
+    The interval inverts the exact test of Mann and Whitney (Hodges and Lehmann 1963). It supposes
+    that both have the same distribution but for a factor. Shape (seeds,) each. Times are inf where
+    only a lower limit is known. Where it is so of both, their ratio counts as 0.
 
     Raises:
         ValueError: there are too few times for an interval of 95 %.
@@ -398,12 +397,14 @@ def ratio_of_times(times: np.ndarray, others: np.ndarray) -> tuple[float, float,
     n = len(times)
     ranks = combinations(range(n + len(others)), n)
     u = np.sort([sum(chosen) for chosen in ranks]) - n * (n - 1) // 2
-    # The number of pairs outside of the interval on each side.
+    # The number of pairs below the interval.
     outside = int(u[int(0.025 * len(u))])
     if outside == 0:
         raise ValueError(f"{n} and {len(others)} times are too few")
-    ratios = np.sort(np.divide.outer(times, others).ravel())
-    return float(np.median(ratios)), float(ratios[outside - 1]), float(ratios[-outside])
+    with np.errstate(invalid="ignore"):
+        ratios = np.divide.outer(times, others).ravel()
+    ratios[np.isnan(ratios)] = 0
+    return float(np.sort(ratios)[outside - 1])
 
 
 def _range(cell: CellSummary, metric: str) -> str:
