@@ -80,14 +80,14 @@ def _assign(a: ArrayLike, b: ArrayLike, rate_steps: int) -> _Assignments:
     n_a = np.size(a)
     n_b = np.size(b)
     both = np.rint(np.concatenate([a, b]) * rate_steps).astype(int)
-    above_lowest = both - both.min()
-    step = max(int(np.gcd.reduce(above_lowest)), 1)  # e.g. 40 for rates of 500 episodes
-    step *= max(math.ceil(above_lowest.sum() / step * n_a / MAX_COUNTS), 1)
-    seeds = np.rint(above_lowest / step).astype(int)
+    below_highest = both.max() - both  # small where few seeds collapse
+    step = max(int(np.gcd.reduce(below_highest)), 1)  # e.g. 40 for rates of 500 episodes
+    step *= max(math.ceil(below_highest.sum() / step * n_a / MAX_COUNTS), 1)
+    seeds = np.rint(below_highest / step).astype(int)
     total = seeds.sum()
     sums_of_a = np.arange(total + 1)
     # Whole numbers are divided last, so that equal distances from 0 stay equal.
-    differences = step * (sums_of_a * (n_a + n_b) - total * n_a) / (rate_steps * n_a * n_b)
+    differences = step * (total * n_a - sums_of_a * (n_a + n_b)) / (rate_steps * n_a * n_b)
     observed = differences[seeds[:n_a].sum()]
     return _Assignments(observed, differences, _share_sums(seeds, n_a))
 

@@ -183,6 +183,17 @@ def test_p_of_rates_that_are_no_shares_of_episodes_is_that_of_all_assignments():
     assert permutation_p([(a, b)]) == pytest.approx(enumerate_assignments([(a, b)]))
 
 
+def test_p_of_hundreds_of_seeds_is_exact_if_few_collapse(monkeypatch):
+    rng = np.random.default_rng(3)
+    cells = []
+    for rate in (0.985, 0.98):
+        healthy = rng.binomial(500, rate, 200) / 500
+        cells.append(np.where(rng.random(200) < 0.05, 0.0, healthy))
+    p = permutation_p([tuple(cells)])
+    monkeypatch.setattr("parking_exp.statistics.permutation.MAX_COUNTS", 10**12)
+    assert permutation_p([tuple(cells)]) == p
+
+
 def test_p_of_strata_moves_by_less_than_5_percent_where_sums_are_rounded(monkeypatch):
     rng = np.random.default_rng(1)
     strata = []
