@@ -158,6 +158,7 @@ def compare_levels(cells: Sequence[CellSummary], factors: Sequence[Factor]) -> l
     rates = {}
     for cell in rated:
         rates[tuple(cell.settings[key] for key in n_levels)] = seed_rates(cell)
+    # Two cells with equal levels would hide that another combination is missing.
     is_complete = len(rated) == len(rates) == math.prod(n_levels.values())
     most_levels = max(len(factor.levels) for factor in factors)
     if most_levels > MAX_LEVELS or not is_complete:
