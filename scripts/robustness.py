@@ -21,6 +21,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from parking_exp.algorithms.build_model import GreedyPolicy
+from parking_exp.cli.command import errors_as_sentences
 from parking_exp.evaluation.agents import find_agents
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
@@ -70,13 +71,14 @@ PERTURBATIONS = {
 }
 
 
+@errors_as_sentences()
 def main() -> None:
     """Evaluate the agents of every argument on every perturbation."""
     runs = sys.argv[1:] or PRETRAINED_AGENTS
     if runs[0].startswith("-"):
-        say(__doc__ or "")
+        say(*str(__doc__).splitlines())
         return
-    columns = [Column(run) for run in runs]
+    columns = [Column(run.removeprefix("run=")) for run in runs]
     headings = [f"`{column.name}`: {column.metric} (crash)" for column in columns]
     say(f"| perturbation | {' | '.join(headings)} |", f"|---|{'---:|' * len(columns)}")
     for title, perturbation in PERTURBATIONS.items():

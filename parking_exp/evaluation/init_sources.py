@@ -72,5 +72,7 @@ def find_source(config: RunConfig) -> Agent:
         seed_folder = folder / f"seed={config.seed}"
         if seed_folder.is_dir():
             folder = seed_folder
+        elif any(folder.glob("seed=*")):
+            raise RunNotFoundError(f"init={source}: this cell has no run with seed {config.seed}")
         source = str(folder)
     return find_agent(source, config.output_path, trust=True, key="init")

@@ -192,6 +192,8 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         states = [read_state(path) for path in paths]
         if due:
             out.print(cell_table(states))
+            for folder in dict.fromkeys(path.parents[1] for path in paths):
+                out.print(f"results  {folder}")
         for line in state_lines(states, "stopped", "failed"):
             out.print(line)
     _check_all_done(states)

@@ -88,7 +88,7 @@ class ProgressDisplay:
 
     def show_episodes(self, n_finished: int, n_episodes: int) -> None:
         """Show how many episodes of the activity are finished."""
-        count = f"{n_finished} of {n_episodes} episodes"
+        count = f"{n_finished} of {n_episodes} episodes done"
         self._bar.update(self._task, figures=count)
         now = time.monotonic()
         if now >= self._next_heartbeat:

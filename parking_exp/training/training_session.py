@@ -66,6 +66,7 @@ class TrainingSession(RunSession):
             self._best.unlink(missing_ok=True)
             if config.init is not None:
                 directory.update_status(init_sha256=warm_start.load_source(config, self.model))
+                self.display.say(f"starting from {config.init}")
             if config.buffer.demonstrations:
                 self._add_demonstrations()
         else:

@@ -89,7 +89,6 @@ def load_source(config: RunConfig, model: OffPolicyAlgorithm) -> str:
 
 def _find_buffer(config: RunConfig, agent: Agent) -> Path:
     """Return the file of an agent's last replay buffer; raises ConfigError if it does not fit."""
-    _refuse_differences(config, agent, BUFFER_KEYS)
     checkpoint = None
     if agent.directory is not None:
         checkpoint = checkpoints.latest(agent.directory.checkpoints)
@@ -97,6 +96,7 @@ def _find_buffer(config: RunConfig, agent: Agent) -> Path:
         raise ConfigError(
             f"init_buffer=true: init={config.init} has no checkpoint, and so no replay buffer"
         )
+    _refuse_differences(config, agent, BUFFER_KEYS)
     return checkpoint / BUFFER
 
 

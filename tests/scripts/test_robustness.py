@@ -40,6 +40,13 @@ def test_arguments_name_the_agents_and_what_success_requires_names_the_metric(
     ]
 
 
+def test_a_run_that_there_is_not_is_one_sentence(script, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["robustness.py", "run=nothing"])
+    with pytest.raises(SystemExit, match="2"):
+        script.main()
+    assert capsys.readouterr().err.startswith("error: run=nothing: there is no such run ")
+
+
 def test_rates_of_several_agents_are_averaged(script, monkeypatch):
     shares = iter([{"success": 1.0, "crash": 0.0}, {"success": 0.5, "crash": 0.25}])
     monkeypatch.setattr(script, "evaluate", lambda *_: next(shares))

@@ -15,13 +15,13 @@ def test_without_a_terminal_a_long_activity_has_a_line_now_and_then(monkeypatch,
         clock.now += 2
     display.close()
     assert capsys.readouterr().err.splitlines() == [
-        "demonstrations  5 of 40 episodes",
-        "demonstrations  10 of 40 episodes",
+        "demonstrations  5 of 40 episodes done",
+        "demonstrations  10 of 40 episodes done",
     ]
     assert [beat["doing"] for beat in beats[:3]] == [
         "demonstrations",
-        "demonstrations, 1 of 40 episodes",
-        "demonstrations, 2 of 40 episodes",
+        "demonstrations, 1 of 40 episodes done",
+        "demonstrations, 2 of 40 episodes done",
     ]
 
 

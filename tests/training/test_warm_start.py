@@ -175,6 +175,10 @@ MISFITS = {
         "+algorithm.policy_kwargs.n_critics=3"
     ],
     LAYER: ["env=parking_stop"],
+    r"init=pretrained/parked has no checkpoint, and so no replay buffer$": [
+        *("init=pretrained/parked", "env=parking_stop", "env.observation.vehicles_count=0"),
+        *("algorithm=td3", "algorithm.net_arch=[64,64]", "init_buffer=true"),
+    ],
     r"its n_envs is 2, and this run's is 1$": ["init_buffer=true", "n_envs=1"],
     r"its env.collision_reward is -5, and this run's is -7$": [
         "init_buffer=true",
@@ -222,7 +226,7 @@ def test_of_a_cell_each_seed_starts_from_the_run_with_its_seed(source):
         of_seed = pin_source(config).model_copy(update={"seed": seed})
         assert of_seed.cell_key == pin_source(config).cell_key
         assert find_source(of_seed).folder == source.path.with_name(f"seed={seed}")
-    with pytest.raises(RunNotFoundError, match=r"^init=.*: there is no such run directory "):
+    with pytest.raises(RunNotFoundError, match=r"^init=.*: this cell has no run with seed 2$"):
         find_source(pin_source(config).model_copy(update={"seed": 2}))
 
 
