@@ -100,7 +100,7 @@ def read_state(path: Path) -> RunState:
 def in_plan_order(states: Iterable[RunState]) -> list[RunState]:
     """Sort runs by experiment and by the order of their plan, and make labels distinct.
 
-    Cells of several plans may have the same label. The key of the cell is then added to it.
+    Cells of several plans may have the same label. The folder of the cell is then added to it.
     """
     in_order = sorted(states, key=_place)
     cells = {(state.experiment, state.label, state.cell) for state in in_order}
@@ -110,8 +110,7 @@ def in_plan_order(states: Iterable[RunState]) -> list[RunState]:
     for state in in_order:
         label = state.label
         if n_cells[state.experiment, label] > 1:
-            key = state.cell.rpartition("-")[2]
-            label = f"{label} ({key})"
+            label = f"{label} ({state.cell})"
         labelled.append(state.model_copy(update={"label": label}))
     return labelled
 

@@ -235,11 +235,12 @@ def test_trials_of_a_search_are_listed_by_their_numbers(tmp_path):
     assert [line.split()[1] for line in lines[1:4]] == ["0", "9", "10"]
 
 
-def test_cells_of_two_plans_with_the_same_label_get_their_keys(tmp_path):
+def test_cells_of_two_plans_with_the_same_label_get_their_folders(tmp_path):
     run_dir(tmp_path, "parking-td3-her_future-0a", 0, status="done", label="td3")
     run_dir(tmp_path, "parking-td3-her_future-1b", 0, status="done", label="td3")
     lines = status(tmp_path).stdout.splitlines()
-    assert [line.split()[:2] for line in lines[1:3]] == [["td3", "(0a)"], ["td3", "(1b)"]]
+    first, second = "(parking-td3-her_future-0a)", "(parking-td3-her_future-1b)"
+    assert [line.split()[:2] for line in lines[1:3]] == [["td3", first], ["td3", second]]
 
 
 def planned(output_dir, seed, **status):
