@@ -3,9 +3,9 @@
 
     python scripts/robustness.py [RUN ...]
 
-A run is what `scripts/evaluate.py` takes. For a folder of runs, the table has the mean rates, and
-the lowest and highest rate of an agent. Without arguments these are `default`, `parked` and
-`crowded` of the package. Each is evaluated on the env of its training, with 10 cars if it was
+A run is what `run=` of `scripts/evaluate.py` takes. For a folder of runs, the table has the mean
+rates, and the lowest and highest rate of an agent. Without arguments these are `default`, `parked`
+and `crowded` of the package. Each is evaluated on the env of its training, with 10 cars if it was
 trained among cars. It has to reach its slot, or to stop in it where success requires that.
 """
 
@@ -21,7 +21,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from parking_exp.algorithms.build_model import GreedyPolicy
-from parking_exp.cli.command import errors_as_sentences
+from parking_exp.cli.command import fail
+from parking_exp.errors import ConfigError, ParkingError
 from parking_exp.evaluation.agents import find_agents
 from parking_exp.tasks.parking.lot import lot_of
 from parking_exp.tasks.parking.parking_config import ParkingConfig
@@ -71,14 +72,16 @@ PERTURBATIONS = {
 }
 
 
-@errors_as_sentences()
 def main() -> None:
     """Evaluate the agents of every argument on every perturbation."""
     runs = sys.argv[1:] or PRETRAINED_AGENTS
     if runs[0].startswith("-"):
         say(*str(__doc__).splitlines())
         return
-    columns = [Column(run.removeprefix("run=")) for run in runs]
+    try:
+        columns = [Column(run.removeprefix("run=")) for run in runs]
+    except ParkingError as error:
+        fail(error)
     headings = [f"`{column.name}`: {column.metric} (crash)" for column in columns]
     say(f"| perturbation | {' | '.join(headings)} |", f"|---|{'---:|' * len(columns)}")
     for title, perturbation in PERTURBATIONS.items():
@@ -93,7 +96,8 @@ class Column:
         self.name = Path(run).name
         self.agents = []
         for agent in find_agents(run, Path("outputs")):
-            assert isinstance(agent.config.env, ParkingConfig)
+            if not isinstance(agent.config.env, ParkingConfig):
+                raise ConfigError(f"{run} does not park")
             with closing(make_task(agent.config.env)) as task:
                 self.agents.append((GreedyPolicy(agent.load(task)), agent.config.env))
         _, env = self.agents[0]

@@ -7,6 +7,7 @@ from parking_exp.config.paths import absolute_path, relative_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.evaluation.agents import Agent, find_agent, is_pretrained
+from parking_exp.phrases import list_names
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import LATEST, find_runs
 
@@ -72,7 +73,10 @@ def find_source(config: RunConfig) -> Agent:
         seed_folder = folder / f"seed={config.seed}"
         if seed_folder.is_dir():
             folder = seed_folder
-        elif any(folder.glob("seed=*")):
-            raise RunNotFoundError(f"init={source}: this cell has no run with seed {config.seed}")
+        elif seeds := sorted(path.name for path in folder.glob("seed=*")):
+            raise RunNotFoundError(
+                f"init={source}: this cell has no run with seed {config.seed}; it has "
+                f"{list_names(seeds)}"
+            )
         source = str(folder)
     return find_agent(source, config.output_path, trust=True, key="init")

@@ -156,11 +156,13 @@ def _split_contrasts(
 
 
 def _warn_of_untested(untested: Sequence[str], n_tested: int) -> str:
-    return (
+    text = (
         f"{len(untested)} of {n_tested + len(untested)} contrasts are not tested, since one of "
-        f"their cells is not selected or has no finished run: {list_names(untested)}. p is "
-        "corrected for the other contrasts only."
+        f"their cells is not selected or has no finished run: {list_names(untested)}."
     )
+    if n_tested:
+        text += " p is corrected for the other contrasts only."
+    return text
 
 
 def _refuse_unfinished(cells: Sequence[CellSummary], override: str, hint: str = "") -> None:

@@ -193,7 +193,7 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         if due:
             out.print(cell_table(states))
             for folder in dict.fromkeys(path.parents[1] for path in paths):
-                out.print(f"results  {folder}")
+                out.print(f"runs in {folder}")
         for line in state_lines(states, "stopped", "failed"):
             out.print(line)
     _check_all_done(states)

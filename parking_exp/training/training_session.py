@@ -17,6 +17,7 @@ from parking_exp.algorithms.normalization import UpdateNormalizer
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.evaluation.evaluate_policy import describe_rates, rank_evaluation
+from parking_exp.runs.foreign_files import sha256
 from parking_exp.runs.metric_logs import MONITOR_FILE
 from parking_exp.runs.run_files import BEST_MODEL
 from parking_exp.tasks.finite import check_finite
@@ -65,8 +66,9 @@ class TrainingSession(RunSession):
             # An attempt that was killed before its first checkpoint may have left one.
             self._best.unlink(missing_ok=True)
             if config.init is not None:
-                directory.update_status(init_sha256=warm_start.load_source(config, self.model))
-                self.display.say(f"starting from {config.init}")
+                source = warm_start.load_source(config, self.model)
+                directory.update_status(init_sha256=sha256(source.weights))
+                self.display.say(f"starting from {source.weights}")
             if config.buffer.demonstrations:
                 self._add_demonstrations()
         else:

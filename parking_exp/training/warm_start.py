@@ -22,7 +22,6 @@ from parking_exp.evaluation.agents import Agent
 from parking_exp.evaluation.init_sources import find_source
 from parking_exp.runs.checkpoint_files import BUFFER, find_checkpoints
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.foreign_files import sha256
 from parking_exp.tasks.registry import make_task
 from parking_exp.training import checkpoints
 
@@ -74,8 +73,8 @@ def _check_layers(config: RunConfig, agent: Agent) -> None:
         raise ModelError(f"init={config.init}: {error}") from error
 
 
-def load_source(config: RunConfig, model: OffPolicyAlgorithm) -> str:
-    """Load what `init` and `init_buffer` name into a fresh model; return the weights' SHA-256.
+def load_source(config: RunConfig, model: OffPolicyAlgorithm) -> Agent:
+    """Load what `init` and `init_buffer` name into a fresh model; return the agent.
 
     It raises what `check_sources` does, and ModelError if the replay buffer does not fit.
     """
@@ -84,11 +83,11 @@ def load_source(config: RunConfig, model: OffPolicyAlgorithm) -> str:
     if config.init_buffer:
         file = _find_buffer(config, agent)
         checkpoints.load_transitions(file, model.replay_buffer)
-    return sha256(agent.weights)
+    return agent
 
 
 def _find_buffer(config: RunConfig, agent: Agent) -> Path:
-    """Return the file of an agent's last replay buffer; raises ConfigError if it does not fit."""
+    """Return the file of an agent's last replay buffer; raises ConfigError if none fits."""
     checkpoint = None
     if agent.directory is not None:
         checkpoint = checkpoints.latest(agent.directory.checkpoints)

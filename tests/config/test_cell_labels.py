@@ -196,7 +196,16 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
 
 @pytest.mark.parametrize(
     "experiment",
-    ["envs_and_updates", "goal_tasks", "her_tuned", "ladder", "td3_or_sac", "time_to_95"],
+    [
+        "envs_and_updates",
+        "goal_tasks",
+        "her_lots",
+        "her_tuned",
+        "ladder",
+        "td3_or_sac",
+        "tight_lots",
+        "time_to_95",
+    ],
 )
 def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path):
     runs = plan(

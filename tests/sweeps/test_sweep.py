@@ -43,6 +43,7 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
     directory.update_status(status="failed", error="a bad day")
     first = call_script(*command, *TWO, code=2)
     assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "done", "error:"]
+    assert f"runs in {tmp_path}/" in first.stdout
     assert first.stderr.endswith(
         "error: of 2 runs, 1 failed; retry=failed runs failed ones again\n"
     )
