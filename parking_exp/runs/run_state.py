@@ -101,7 +101,6 @@ def in_plan_order(states: Iterable[RunState]) -> list[RunState]:
     """Sort runs by experiment and by the order of their plan, and make labels distinct.
 
     Cells of several plans may have the same label. The folder of the cell is then added to it.
-    Reports, which know all configs, name the keys that differ instead.
     """
     in_order = sorted(states, key=_place)
     cells = {(state.experiment, state.label, state.cell) for state in in_order}
