@@ -18,7 +18,6 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from parking_exp.algorithms.action_noise import make_action_noise
-from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.normalization import NormalizedExtractor, Normalizer
 from parking_exp.buffers import HerBuffer
@@ -44,8 +43,8 @@ def build_model(
         for_training: False skips the replay buffer, for a model that only predicts.
 
     Raises:
-        ConfigError: the library refuses an argument, the algorithm would lose weights when it is
-            saved, or its update has no `preactivation_coef`.
+        ConfigError: the library refuses an argument, or the algorithm would lose weights when it is
+            saved.
     """
     target = config.algorithm.target
     algorithm = import_object(target)
@@ -72,13 +71,6 @@ def build_model(
     except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {target} refuses its arguments: {error}") from error
 
-    if for_training and config.algorithm.preactivation_coef:
-        if not is_supported(model):
-            raise ConfigError(
-                "algorithm.preactivation_coef needs the fast update, which does not support this "
-                "model's activation, features, optimizer, buffer or device"
-            )
-        model.preactivation_coef = config.algorithm.preactivation_coef
     if unsaved := _unsaved_weights(model):
         raise ConfigError(
             f"algorithm._target_={target}: model files would lack {', '.join(unsaved)}; name them "

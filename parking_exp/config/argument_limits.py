@@ -89,7 +89,6 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
     "EpsilonRandomActionNoise": {**NOISE, "epsilon": Annotated[float, Field(ge=0, le=1)]},
     "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegativeFloat, "dt": PositiveFloat},
 }
-HAVE_PREACTIVATION_COEF = ("parking_exp.algorithms.TD3", "parking_exp.algorithms.DDPG")
 # Argument names of classes as `conf/` uses them: these are checked without importing torch.
 OFF_POLICY_ARGUMENTS = {
     "learning_rate", "learning_starts", "batch_size", "tau", "gamma", "train_freq",

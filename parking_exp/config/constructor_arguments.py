@@ -14,13 +14,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
-from parking_exp.config.argument_limits import (
-    CLASS_LIMITS,
-    HAVE_PREACTIVATION_COEF,
-    KNOWN_ARGUMENTS,
-    LIMITS,
-    STRICT,
-)
+from parking_exp.config.argument_limits import CLASS_LIMITS, KNOWN_ARGUMENTS, LIMITS, STRICT
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig, ThirdParty
 from parking_exp.dotted_paths import import_object
 from parking_exp.errors import ConfigError, reason_of_invalid_value
@@ -131,11 +125,6 @@ def _algorithm_problems(algorithm: AlgorithmConfig) -> Iterator[str]:
     """Yield what is wrong with an algorithm that is trained, and with its policy."""
     problems = _section_problems("algorithm", algorithm, ALGORITHM)
     yield from problems
-    if algorithm.preactivation_coef and algorithm.target not in HAVE_PREACTIVATION_COEF:
-        yield (
-            f"algorithm.preactivation_coef={algorithm.preactivation_coef:g}: {algorithm.target} "
-            "has none; use algorithm=td3 or ddpg"
-        )
     # All features suit the policies of the known algorithms.
     is_known = algorithm.target in KNOWN_ARGUMENTS
     if not problems and (not is_known or algorithm.arguments.get("policy_kwargs")):

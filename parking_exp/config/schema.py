@@ -124,16 +124,9 @@ class AlgorithmConfig(ThirdParty):
     net_arch: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], Field(min_length=1)] | None
     policy_ema_half_life: PositiveFloat | None
     normalize: bool
-    preactivation_coef: float = left_out(0.0, ge=0)
 
 
-DROPPED_IF_UNTRAINED = {
-    "trained",
-    "preactivation_coef",
-    *OFF_POLICY_ARGUMENTS,
-    *SAC_ARGUMENTS,
-    *TD3_ARGUMENTS,
-}
+DROPPED_IF_UNTRAINED = {"trained", *OFF_POLICY_ARGUMENTS, *SAC_ARGUMENTS, *TD3_ARGUMENTS}
 UNTRAINED: dict[str, Any] = {
     "features": "raw",
     "net_arch": None,

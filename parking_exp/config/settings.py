@@ -7,9 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from parking_exp.config.argument_limits import HAVE_PREACTIVATION_COEF
 from parking_exp.config.run_key import changes_results
-from parking_exp.config.schema import AlgorithmConfig, BufferConfig
+from parking_exp.config.schema import BufferConfig
 from parking_exp.tasks.registry import ENV_CONFIGS
 
 Setting = str | int | float | bool | None
@@ -94,8 +93,6 @@ def differing_keys(configs: Sequence[FlatConfig]) -> list[str]:
 def with_defaults(config: FlatConfig) -> dict[str, Setting]:
     """Return a config with the defaults of the keys that stored configs leave out."""
     complete: dict[str, Setting] = {}
-    if config.get("algorithm._target_") in HAVE_PREACTIVATION_COEF:
-        complete |= _defaults_left_out(AlgorithmConfig, "algorithm.")
     if "buffer.name" in config:
         complete |= _defaults_left_out(BufferConfig, "buffer.")
     task = config.get("env.task")

@@ -19,7 +19,6 @@ from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.compose import compose
-from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
@@ -138,36 +137,6 @@ def test_options_change_both_alike(option):
     for model in (theirs, ours):
         update(model, samples, calls=25)  # four updates a call
     assert furthest(ours, theirs) < 1e-5
-
-
-@pytest.mark.parametrize("name", ["TD3", "DDPG"])
-def test_preactivation_coef_adds_the_mean_square_to_the_actors_loss(name):
-    theirs, without = pair(name)
-    ours = make_model(name, "algorithm.preactivation_coef=0.1")
-    ours.set_parameters(theirs.get_parameters())
-    preactivations = []
-    *_, last_layer, _tanh = theirs.actor.mu
-    last_layer.register_forward_hook(lambda *call: preactivations.append(call[-1]))
-    value = theirs.critic.q1_forward
-    theirs.critic.q1_forward = lambda *inputs: (
-        value(*inputs) - 0.1 * preactivations[-1].square().mean()
-    )
-    samples = batches(100, 256, 0)
-    for model in (theirs, ours, without):
-        update(model, samples)
-    assert furthest(ours, theirs) < 1e-5
-    assert furthest(ours, without) > 1e-3
-    losses = [model.logger.name_to_value["train/actor_loss"] for model in (theirs, ours, without)]
-    assert losses[1] == pytest.approx(losses[0], abs=1e-5) != pytest.approx(losses[2], abs=1e-5)
-
-
-def test_preactivation_coef_needs_the_fast_update():
-    with pytest.raises(ConfigError, match="preactivation_coef needs the fast update"):
-        make_model(
-            "TD3",
-            "algorithm.preactivation_coef=0.1",
-            "+algorithm.policy_kwargs.activation_fn=torch.nn.Tanh",
-        )
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)

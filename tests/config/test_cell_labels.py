@@ -116,10 +116,6 @@ def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
     ("overrides", "expected"),
     [
         (["buffer.demonstrations=0,5"], {"demonstrations=0", "demonstrations=5"}),
-        (
-            ["algorithm.preactivation_coef=0,0.1"],
-            {"preactivation_coef=0", "preactivation_coef=0.1"},
-        ),
         (["env.standing_reward=0,-0.3"], {"standing_reward=0", "standing_reward=-0.3"}),
         (["env.observation.rays=0,4"], {"rays=0", "rays=4"}),
     ],

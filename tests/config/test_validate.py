@@ -80,7 +80,6 @@ def refusal(plain):
         ("algorithm.learning_rate.start", -1, ""),
         ("algorithm.action_noise", {**NOISE, "sigma": [0.1, 0.1, 0.1]}, "2 dimensions"),
         ("algorithm.gama", 1, "'gamma'"),
-        ("algorithm.preactivation_coef", 0.1, "has none; use algorithm=td3 or ddpg"),
         ("algorithm.net_arch", [9999999, 9999999], ""),
         ("algorithm.train_freq", [1, "episode"], "updates_per_step=0.03125"),
         ("algorithm.action_noise", {k: v for k, v in NOISE.items() if k != "sigma"}, "missing"),

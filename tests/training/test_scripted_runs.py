@@ -132,7 +132,6 @@ def test_keys_of_training_have_no_effect_on_what_is_not_trained():
         "algorithm.net_arch=[8]",
         "algorithm.features=ego",
         "++algorithm.policy_delay=3",
-        "++algorithm.preactivation_coef=0.1",
     ):
         config = compose("env=parking_parallel", "algorithm=planner", override)
         assert config.run_key == plain.run_key, override

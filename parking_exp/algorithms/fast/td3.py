@@ -31,7 +31,7 @@ class TD3Update:
             losses["critic_loss"].append(self._update_critics(model, minibatch))
             if model._n_updates % model.policy_delay == 0:
                 n = len(minibatch.actions)
-                losses["actor_loss"].append(self._update_actor(model, minibatch.features[:n]))
+                losses["actor_loss"].append(self._update_actor(minibatch.features[:n]))
                 self.critics.polyak_update(model.tau)
                 polyak_update(self.flat_target, self.flat, model.tau)
         return {
@@ -51,34 +51,25 @@ class TD3Update:
         errors = self.critics.update(torch.cat((features[:n], actions), 1), target, weight=1.0)
         return errors.square().mean((1, 2)).sum()
 
-    def _update_actor(self, model: Any, features: torch.Tensor) -> torch.Tensor:
+    def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
         """Take a step on the actor; return its loss."""
         values = self.actor.forward(features)
         actions = torch.tanh(values[-1])
         inputs = torch.cat((features, actions), 1)
         value, gradient = self.critics.value_and_gradient(inputs, actions.shape[1], n_critics=1)
         gradient = torch.ops.aten.tanh_backward(gradient, actions)
-        loss = -value.mean()
-        if model.preactivation_coef:
-            preactivations = values[-1]
-            gradient.add_(preactivations, alpha=2 * model.preactivation_coef / gradient.numel())
-            loss += model.preactivation_coef * preactivations.square().mean()
         self.actor.backward(values, gradient, self.adam.gradients)
         self.adam.step()
-        return loss
+        return -value.mean()
 
 
 class TD3(FastTraining, stable_baselines3.TD3):
-    """Stable-Baselines3's TD3 with a faster `train`, which computes the same.
-
-    Attributes:
-        preactivation_coef: coefficient of the mean square of the actor's outputs before tanh, in
-            its loss, as in Andrychowicz et al. (2017). Stable-Baselines3 has no such term.
-    """
+    """Stable-Baselines3's TD3 with a faster `train`, which computes the same."""
 
     update_class = TD3Update
-    preactivation_coef = 0.0
 
 
-class DDPG(TD3, stable_baselines3.DDPG):
+class DDPG(FastTraining, stable_baselines3.DDPG):
     """Stable-Baselines3's DDPG: TD3 with one critic, no delay and no noise on the target."""
+
+    update_class = TD3Update
