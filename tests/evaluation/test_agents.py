@@ -90,12 +90,22 @@ def test_their_configs_are_those_of_the_recipes():
     )
     rates = ("algorithm.learning_rate.start=3e-3", "algorithm.learning_rate.end=3e-4")
     parallel = ("env=parking_parallel", "env.level=extreme", "algorithm=td3", "seeds=1", *rates)
+    earlier = (
+        "total_timesteps=3840000",
+        "env.collision_reward=-20",
+        "env.lots.dead_end_again.starts.x_m=[-14.0,-10.0]",
+        "~env.lots.dead_end_again.starts.y_m",
+        "~env.lots.dead_end_again.starts.heading_deg",
+        "algorithm.batch_size=512",
+        "algorithm.gamma=0.98",
+        "buffer.buffer_size=4000000",
+    )
     recipes = {
         "default": (),
         "parked": ("experiment=parked",),
         "crowded": ("experiment=crowded", *crowded),
         "parallel": ("experiment=tight_lots", *parallel),
-        "lots": ("experiment=all_lots", "seeds=1"),
+        "lots": ("experiment=all_lots", "seeds=1", *earlier),
     }
     for name, overrides in recipes.items():
         config, recipe = (
