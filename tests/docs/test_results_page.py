@@ -53,6 +53,7 @@ def test_every_table_has_its_command_every_figure_a_table_and_exports_are_small(
         "lots",
         "feasibility",
         "tight_lots",
+        "all_lots",
         "her_lots",
     }  # replaced, tuning, few seeds, in the text, all equal, one seed, a table
     assert figures <= tables
