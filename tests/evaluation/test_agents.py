@@ -20,7 +20,7 @@ from parking_exp.sweeps.single_run import train
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.registry import make_task
 
-DECIDED_BY_ROUNDING = {("pretrained/lots", 14), ("pretrained/lots", 37)}  # see its card
+DECIDED_BY_ROUNDING = ("pretrained/lots", 14)  # see its card
 TINY = (
     "algorithm.net_arch=[8]",
     "n_envs=1",
@@ -68,7 +68,7 @@ def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
     assert agent.config.seed == 0
     assert agent.config.env.name == env
     task = make_task(agent.config.env)
-    seeds = [seed for seed in range(50) if (name, seed) not in DECIDED_BY_ROUNDING]
+    seeds = [seed for seed in range(50) if (name, seed) != DECIDED_BY_ROUNDING]
     episodes = evaluate_policy(GreedyPolicy(agent.load(task)), task, seeds)
     assert summarise(episodes, METRICS)[metric] == rate
 
@@ -90,7 +90,7 @@ def test_their_configs_are_those_of_the_recipes():
     )
     rates = ("algorithm.learning_rate.start=3e-3", "algorithm.learning_rate.end=3e-4")
     parallel = ("env=parking_parallel", "env.level=extreme", "algorithm=td3", "seeds=1", *rates)
-    earlier = (
+    lots = (
         "total_timesteps=3840000",
         "env.collision_reward=-20",
         "env.lots.dead_end_again.starts.x_m=[-14.0,-10.0]",
@@ -105,7 +105,7 @@ def test_their_configs_are_those_of_the_recipes():
         "parked": ("experiment=parked",),
         "crowded": ("experiment=crowded", *crowded),
         "parallel": ("experiment=tight_lots", *parallel),
-        "lots": ("experiment=all_lots", "seeds=1", *earlier),
+        "lots": ("experiment=all_lots", "seeds=1", *lots),
     }
     for name, overrides in recipes.items():
         config, recipe = (
